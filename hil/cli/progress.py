@@ -16,7 +16,7 @@ class Steps:
     """
 
     def __init__(self, text: str, total: int, console: Console | None = None) -> None:
-        console = console or Console(stderr=True)
+        console = console or Console(emoji=False, stderr=True)
         columns = (
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
             TimeRemainingColumn(),

@@ -70,7 +70,7 @@ def identify(
         raise typer.BadParameter("nothing moves with --from", param_hint="--live")
     if (out or agreed) and not live:
         raise typer.BadParameter("of --live alone", param_hint="--out" if out else "--yes")
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     if live:
         findings, evidence = _found_live(config, rig, names, _experiments(only), console, out, agreed=agreed)
     else:

@@ -134,7 +134,7 @@ def accuracy(
 
     Exit status 0: measured; 69: the rig does not run here, or left ACTIVE on the way; each with the reason.
     """
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     if live and overrides:
         raise typer.BadParameter("a running rig is as it is", param_hint="--set")
     if write and not reference:

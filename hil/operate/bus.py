@@ -69,7 +69,7 @@ def view(
     """Rate, load, age and last data per identifier, and errors; live in a terminal, once at the end otherwise."""
     config = _config(channel, interface, bitrate, options, rig)
     reader = _reader(rig, dbc, channel)
-    console = Console()
+    console = Console(emoji=False)
     with _until_stopped(seconds) as stopped, _open(config) as member:
         statistics = BusStatistics(config.bitrate, config.data_bitrate, time.monotonic())
         with Live(console=console, auto_refresh=False, transient=True) as live:

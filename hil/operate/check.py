@@ -58,7 +58,7 @@ def check_rig(
     rig = load_rig(rig_file, overrides)
     layout = rig_layout(rig, rig_file.parent)
     analysis = analyse_rig(rig, layout)
-    console = Console(stderr=json_path == "-")
+    console = Console(emoji=False, stderr=json_path == "-")
     warnings = layout_warnings(layout)
     for note in [
         *encoder_notes(rig),

@@ -131,7 +131,7 @@ def demo(
     chosen = (*with_law(overrides, law), *ALWAYS)
     config = load_rig(rig, chosen)
     signals = Signals()
-    console = Console(highlight=False)
+    console = Console(emoji=False, highlight=False)
     if not console.is_terminal:
         console.width = LOG_WIDTH
     scene = Scene(config, rig, chosen, private_runtime(), out or run_directory())

@@ -56,7 +56,7 @@ def doctor(
 
 
 def _print(findings: list[Finding]) -> None:
-    console = Console()
+    console = Console(emoji=False)
     table = Table(show_header=False, box=None, pad_edge=False)
     colours = {"ok": "green", "note": "yellow", "warn": "red"}
     for finding in findings:

@@ -114,7 +114,7 @@ def as_document(plan: DrivePlan, eds: Eds) -> dict[str, Any]:
 
 def _show(plan: DrivePlan, eds: Eds) -> None:
     """The plan for people."""
-    console = Console(highlight=False)
+    console = Console(emoji=False, highlight=False)
     offers = ", ".join(plan.offers) or "not told by the file"
     console.print(f"{escape(plan.name)}: modes {offers}; {len(eds.entries)} objects")
     if plan.usable:

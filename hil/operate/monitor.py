@@ -177,7 +177,7 @@ def monitor(
     once: Annotated[bool, typer.Option("--once", help="print one snapshot and leave")] = False,
 ) -> None:
     """Watch a rig until Ctrl-C. Exit status 69: no sidecar answers (with --once)."""
-    console = Console()
+    console = Console(emoji=False)
     endpoint = connect or find_endpoint(rig)
     try:
         with RigClient(endpoint, key, rig or "*", Credentials(credentials) if credentials else None) as client:

@@ -32,8 +32,10 @@ def new(
     ] = None,
     force: Annotated[str | None, typer.Option(help="the drives' rated force, N (N m) [10]")] = None,
     friction: Annotated[str | None, typer.Option(help="Coulomb friction, N (N m) [a twentieth of the force]")] = None,
-    rotary: Annotated[str, typer.Option(help="axes that turn, comma-separated")] = "",
-    vertical: Annotated[str, typer.Option(help="vertical axes, comma-separated; a brake holds each")] = "",
+    rotary: Annotated[str | None, typer.Option(help="axes that turn, comma-separated [none]")] = None,
+    vertical: Annotated[
+        str | None, typer.Option(help="vertical axes, comma-separated; a brake holds each [none]")
+    ] = None,
     watchdog: Annotated[float, typer.Option(help="the drives' watchdog, s", min=1e-6, max=1.0)] = 0.01,
     rate: Annotated[float | None, typer.Option(help="control rate, Hz [the highest that fits, up to 1000]")] = None,
 ) -> None:
@@ -45,7 +47,8 @@ def new(
         raise typer.BadParameter(f"{file}: there is no folder {file.parent}")
     chosen = _choice("layout", layout, "Frame layout", LAYOUTS)
     names = _names("axes", _answer(axes, "Names of the axes, in bus order", "x,y"))
-    turning, hanging = (_among(option, text, names) for option, text in (("rotary", rotary), ("vertical", vertical)))
+    turning = _among("rotary", _answer(rotary, "Which of them turn (Enter: none)", ""), names)
+    hanging = _among("vertical", _answer(vertical, "Which are vertical (Enter: none)", ""), names)
     masses = _numbers("mass", _answer(mass, "Moving mass, kg (kg m^2)", "0.5"), names)
     travels = _numbers("travel", _answer(travel, "Travel from end to end, m (rad)", "0.05"), names)
     encoders = _numbers("encoder", _answer(encoder, "Encoder resolution, m (rad) per count", "1e-7"), names)
@@ -57,8 +60,8 @@ def new(
     for axis in sketched:
         if abs(axis.gravity) + axis.friction >= 0.5 * axis.force:
             raise typer.BadParameter(
-                f"axis {axis.name}: gravity and friction take {abs(axis.gravity) + axis.friction:.3g} of its rated "
-                f"{axis.force:g} N; more than half is left for no control"
+                f"axis {axis.name}: gravity and friction take {abs(axis.gravity) + axis.friction:.3g} N of the rated "
+                f"{axis.force:g} N; at least half must be left for control"
             )
     sketch = _runnable(Sketch(name, sketched, chosen, rate or 0.0, watchdog), (rate,) if rate else RATES_HZ)
     written = {file: rig_text(sketch)} | {file.with_name(beside): text for beside, text in sketch.files.items()}
@@ -107,7 +110,9 @@ def _problems(sketch: Sketch, folder: Path) -> list[str]:
 def _answer(given: str | None, question: str, default: str) -> str:
     if given is not None:
         return given
-    return str(typer.prompt(question, default=default)) if sys.stdin.isatty() else default
+    if not sys.stdin.isatty():
+        return default
+    return str(typer.prompt(question, default=default, show_default=bool(default)))
 
 
 def _choice(option: str, given: str | None, question: str, choices: Sequence[str]) -> str:

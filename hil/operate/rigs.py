@@ -24,7 +24,7 @@ def rigs(json_target: JsonTarget = "") -> None:
     table = Table("rig", "axes", "rate", "drives", "law", box=None, padding=(0, 2, 0, 0))
     for name, rig in found.items():
         table.add_row(name, " ".join(rig["axes"]), f"{rig['rate_hz']:g} Hz", rig["drives"], rig["law"])
-    Console().print(table)
+    Console(emoji=False).print(table)
     print(f"Their files: {folder}. For your own stage: hil new my-stage.toml")
     for known in running:
         print(f"running: {known['name']} at {known['endpoint']}")

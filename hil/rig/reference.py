@@ -112,9 +112,9 @@ def nearest(location: Sequence[str | int]) -> str:
 
 
 def _likeness(name: str, own: str, path: str) -> float:
-    """How like a key's name is to this one, 0 to 1; a little more where it is in the same table."""
+    """How like a key's name is to this one, 0 to 1; a little more where its table is like this one's."""
     table, _, last = path.rpartition(".")
-    return difflib.SequenceMatcher(None, name, last).ratio() + (0.25 if table == own else 0.0)
+    return difflib.SequenceMatcher(None, name, last).ratio() + 0.25 * difflib.SequenceMatcher(None, own, table).ratio()
 
 
 def _general(parts: Sequence[str]) -> str:

@@ -63,7 +63,7 @@ def _keep(named: Path, run: Run, json_target: str) -> None:
     if not any(document["axes"].values()):
         raise RecordingError(f"{named}: nothing was followed for long enough; a task must run for some seconds")
     path = write_baseline(run.rig, {"run": str(named.resolve()), "made_ns": time.time_ns(), **document})
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     console.print(_table(run.rig, document))
     console.print(f"kept in {path}", soft_wrap=True, markup=False, highlight=False)
     if json_target:

@@ -74,7 +74,7 @@ def diff(
     with _said():
         one, other = load_run(first), load_run(second)
         document = differences(one, other)
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     _show(console, one, document)
     if json_target:
         write_json(document, json_target)

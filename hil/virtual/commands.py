@@ -75,7 +75,7 @@ def sim(
     if infeasible:
         raise RigError([f"{rig}: {problem}" for problem in infeasible])
     scenario = load_scenario(faults, config) if faults else None
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     print_plant_notes(console, config)
     for note in excursion_notes(config):
         console.print(note, soft_wrap=True, markup=False)

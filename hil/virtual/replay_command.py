@@ -84,7 +84,7 @@ def replay(
     except (RecordingError, ConfinedError) as error:
         print(f"hil replay: {error}", file=sys.stderr)
         raise typer.Exit(1) from None
-    Console(stderr=json_target == "-").print(found.text, markup=False, soft_wrap=True, end="")
+    Console(emoji=False, stderr=json_target == "-").print(found.text, markup=False, soft_wrap=True, end="")
     if json_target:
         write_json(found.document, json_target)
     if found.status:
@@ -126,7 +126,7 @@ def _replayed(
 
     report = replay_run(recording, changes, permitted, prepare)
     text = io.StringIO()
-    _show_replay(report, Console(file=text, soft_wrap=True), recording)
+    _show_replay(report, Console(emoji=False, file=text, soft_wrap=True), recording)
     incomplete = report.different or not report.frames or report.loss
     status = 1 if incomplete else EXIT_FAULT if report.latched else 0
     return _Outcome(text.getvalue(), report_document(report), status)

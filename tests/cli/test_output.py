@@ -1,6 +1,7 @@
 """What commands are to write: refused before a run where it cannot be written, and in one line where it then is not."""
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -161,3 +162,11 @@ def test_gains_found_by_who_may_write_the_rig_file_but_not_give_it_away_are_writ
     monkeypatch.setattr(os, "chown", refused)
     write_gains(rig, "pid", {"kp": [1.0, 2.0]}, [])
     assert load_rig(rig).law.tuned["pid"] == {"kp": [1.0, 2.0]}
+
+
+def test_no_console_makes_emoji_of_what_users_name() -> None:
+    """`hil check --law ./mine.py:X` wrote "law ./mine.py❌ not accepted"."""
+    made = [line for path in (ROOT / "hil").rglob("*.py") for line in path.read_text().splitlines()]
+    made = [line for line in made if re.search(r"(?<!\w)Console\(", line)]
+    assert len(made) > 10
+    assert [line for line in made if "Console(emoji=False" not in line] == []

@@ -84,7 +84,7 @@ def test_at_a_terminal_it_asks_for_what_no_flag_says(tmp_path: Path) -> None:
         stdin=theirs, stdout=theirs, stderr=theirs, close_fds=True,
     )  # fmt: skip
     os.close(theirs)
-    os.write(ours, b"a,b\n0.1\n\n20\n")  # axes, travel, encoder: as suggested, force
+    os.write(ours, b"a,b\n\nb\n0.1\n\n60\n")  # axes, none turns, b is vertical, travel, encoder: as suggested, force
     said = b""
     while True:
         try:
@@ -97,8 +97,10 @@ def test_at_a_terminal_it_asks_for_what_no_flag_says(tmp_path: Path) -> None:
     rig = load_rig(tmp_path / "asked.toml")
     assert rig.axis_names == ["a", "b"]
     assert {(axis.model.mass, axis.encoder_resolution, axis.rated_force) for axis in rig.axes.values()} == {
-        (2.0, 1e-7, 20.0)
+        (2.0, 1e-7, 60.0)
     }
+    assert rig.axes["a"].model.gravity == 0.0
+    assert abs(rig.axes["b"].model.gravity) > 19.0, "a weight that nobody was asked for would fall"
     assert rig.axes["a"].limits.position == [-0.05, 0.05]
     assert b"Encoder resolution" in said
     assert b"layout" not in said.split(b"written")[0].lower()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hil.rig.file import load_rig
-from hil.rig.reference import Key, UnknownKeyError, explain, json_schema, tables
+from hil.rig.reference import Key, UnknownKeyError, explain, json_schema, nearest, tables
 from hil.rig.schema import RigError
 from tests.support.paths import RIGS
 
@@ -83,3 +83,7 @@ def test_the_schema_for_editors_gives_meaning_unit_and_range() -> None:
     assert axis["speed"]["description"] == "greatest speed, m/s (rad/s)"
     assert (axis["speed"]["minimum"], axis["speed"]["maximum"]) == (1e-15, 1e15)
     assert "default: axes.NAME.model.mass" in json_schema()["$defs"]["PlantConfig"]["properties"]["mass"]["description"]
+
+
+def test_a_key_in_a_table_of_a_wrong_name_is_sought_in_tables_that_are_like_it() -> None:
+    assert nearest(["axes", "x", "limit", "speed"]) == "the nearest is axes.NAME.limits.speed"

@@ -66,7 +66,7 @@ def interleave(cases: Sequence[Case], blocks: int) -> list[Block]:
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=Console(emoji=False, stderr=True),
         transient=True,
     )
     with bar:
@@ -110,7 +110,7 @@ def publish(
 ) -> None:
     """Print tables, lines and the machine's facts; write `result` and the facts as JSON to a file, "-" for stdout."""
     facts = machine_facts()
-    console = Console(stderr=json_path == "-")
+    console = Console(emoji=False, stderr=json_path == "-")
     for table in tables:
         console.print(table)
     for line in lines:

@@ -206,4 +206,4 @@ def _show(document: dict[str, Any]) -> None:
     for line in document["lines"]:
         times = [f"{line[key]:.0f}" if key in line else "-" for key in ("p50_us", "p99_us", "max_us", "jitter_us")]
         table.add_row(line["name"], *times, f"{line['lost']} of {line['expected']}")
-    Console(highlight=False).print(table)
+    Console(emoji=False, highlight=False).print(table)

@@ -60,7 +60,7 @@ def bring_up(
         if json_file != "-":
             if rig.bus.segments:
                 print(f"{part.bus.channel}: {', '.join(part.axis_names)}", flush=True)
-            show(report, reader, Console(highlight=False))
+            show(report, reader, Console(emoji=False, highlight=False))
 
     ready = [_bring_up(part, path, asked, tell, open_bus) for part in parts]
     if not all(ready):

@@ -55,7 +55,7 @@ def check(
     if not names:
         check_rig(rig_file, overrides or (), json_path=json_path, picture=picture, measured=measured or (), frd=frd)
         return
-    console = Console(stderr=json_path == "-")
+    console = Console(emoji=False, stderr=json_path == "-")
     findings = []
     demand = Demand(margin, phase_margin, stride=stride)
     named = [f"{kind}.name={json.dumps(name)}" for kind, name in names.items()]

@@ -54,7 +54,7 @@ def compare(
 
     changes = list(overrides or ())
     rig = load_rig(rig_file, changes)
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     if not console.is_terminal:
         console.width = WIDTH + WIDTH_PER_AXIS * len(rig.axes)
     print_plant_notes(console, rig)

@@ -62,7 +62,7 @@ def evidence(
     ]
     if not work:
         raise typer.BadParameter(f"--trials {trials}: they are {'; '.join(trial.name for trial in TRIALS)}")
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     with crew(workers) as hands:
         found = list(resumed(hands, run, work))
     rows = _rows(names, work, found)

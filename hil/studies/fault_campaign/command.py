@@ -61,9 +61,9 @@ def faults(
     if injection and motion:
         raise typer.BadParameter("--injection and --motion are two campaigns; name one of them")
     paths = [path for rig in rigs or map(Path, names("rigs")) if (path := any_rig(context, rig))]
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     if not console.is_terminal:
-        console = Console(stderr=json_target == "-", width=PAPER)
+        console = Console(emoji=False, stderr=json_target == "-", width=PAPER)
     for path in paths:
         print_plant_notes(console, load_rig(path, overrides or ()))
     columns = (

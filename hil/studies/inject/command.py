@@ -116,7 +116,7 @@ def inject(
         raise typer.BadParameter("goes with cells, seed and --json alone", param_hint="--specification")
     _check_ways(z_law, speed, attach=attach, mixed=compare and not alone)
     script = [declared(text) for text in ask or ()]
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     if attach:
         _attach(rig_file, script, csv_target, report_target, json_target, console)
         return

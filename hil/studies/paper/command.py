@@ -41,7 +41,7 @@ def reproduce(
     except ValueError as error:
         print(f"hil reproduce: {error}", file=sys.stderr)
         sys.exit(2)
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     folder = output or Path("runs") / time.strftime("reproduce-%Y%m%d-%H%M%S")
     folder.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()

@@ -51,7 +51,7 @@ def sweep(
     from rich.console import Console
 
     base = load_rig(rig_file, overrides or ())
-    console = Console(stderr=json_target == "-")
+    console = Console(emoji=False, stderr=json_target == "-")
     print_plant_notes(console, base)
     output.mkdir(parents=True, exist_ok=True)
     names = (

@@ -80,7 +80,7 @@ def tune(
     rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
     if not space_of(rig, name):
         raise RigError([f"--law {name}: the law declares no gain with a range to search (hil.Knob)"])
-    console = Console()
+    console = Console(emoji=False)
     if not console.is_terminal:
         console.width = WIDTH
     print_plant_notes(console, rig)
