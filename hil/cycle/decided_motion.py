@@ -27,7 +27,7 @@ _NO_AGES: Final[list[int]] = []
 
 class DecidedMotion:
     """outputs, phase, cell: as the motion says in this tick; 0 while it does not run. limited: ticks so far in which an
-    axis was asked for more than its limits. runs: it is being asked.
+    axis was asked for more than its limits. runs: it is being asked. given: the outputs that the gate has set.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class DecidedMotion:
         self._tick = 0
         self._request = Request.NONE
         self.runs = False
-        self.outputs = self.phase = self.cell = self.limited = 0
+        self.outputs = self.phase = self.cell = self.limited = self.given = 0
 
     @property
     def motion(self) -> Any:
@@ -97,6 +97,7 @@ class DecidedMotion:
                 list(self._readings),
                 list(self._ages),
                 self._request,
+                self.given,
             )
         )
         self._request = Request.NONE

@@ -294,15 +294,17 @@ class ControlCycle:
     def _switch(self, outputs: OutputGate, out: list[Frame]) -> None:
         """Behind the drives' frames those of the outputs, as the motion asks."""
         decided, supervisor = self.supervisor.goals.decided, self.supervisor
-        if not out:
+        if out:
+            asked = 0 if decided is None else decided.outputs
+            permitted = supervisor.machine.state is State.ACTIVE and not self.monitor.active and not supervisor.fault
+            spare = out[-1].can_id == self.protocol.echo_id  # neither drives nor sensors need a service frame
+            out += outputs.release(asked, permitted=permitted)
+            if spare:
+                out += outputs.service()
+        else:
             outputs.cut()
-            return
-        asked = 0 if decided is None else decided.outputs
-        permitted = supervisor.machine.state is State.ACTIVE and not self.monitor.active and not supervisor.fault
-        spare = out[-1].can_id == self.protocol.echo_id  # neither drives nor sensors need a service frame
-        out += outputs.release(asked, permitted=permitted)
-        if spare:
-            out += outputs.service()
+        if decided is not None:
+            decided.given = outputs.set
 
     def _stay_silent(self) -> list[Frame]:
         """No force, and no frame."""

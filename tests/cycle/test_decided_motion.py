@@ -284,6 +284,25 @@ def test_no_output_outlives_the_motion_the_state_or_a_fault() -> None:
     assert not any(outputs(told)[-50:])
 
 
+def test_a_motion_sees_that_a_tick_with_a_fault_has_cleared_its_output() -> None:
+    """A missed tick stops nothing, but closes the valve until it is asked for anew."""
+    seen_set: list[int] = []
+
+    def step(seen: hil.Observation) -> hil.References:
+        seen_set.append(seen.outputs)
+        return hil.References([0.0] * 4, [0.0] * 4, outputs=1)
+
+    told = Decided(step, OUTPUT.replace("0.02", "9")).begin().ticks(20)
+    assert seen_set == [0, *[1] * (len(seen_set) - 1)]
+    told.run.skip(1)
+    told.ticks(1)
+    assert int(told.rows[-1]["fault"]) == 0
+    assert outputs(told)[-2:] == [1, 0]
+    told.ticks(20)
+    assert not any(outputs(told)[-20:])
+    assert seen_set[-20:] == [0] * 20
+
+
 def test_the_frame_of_the_outputs_follows_the_command_in_every_tick_and_says_itself_twice() -> None:
     told = Decided(lambda seen: hil.References([0.0] * 4, [0.0] * 4, outputs=1), OUTPUT).begin().ticks(10)
     frames = [

@@ -151,6 +151,14 @@ def test_the_same_cells_are_compared_by_every_z_law(tmp_path: Path, capsys: pyte
     assert "4 mm/s" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("text", ["", "x", "4", "0x5", "-1x3", "51x1", "1x1x1", "²x5", "4x5\n", "9" * 5000 + "x1"])
+def test_a_grid_that_is_none_is_refused_with_an_example(text: str) -> None:
+    from hil.studies.inject.command import inject as command
+
+    with pytest.raises(RigError, match=r"expected ROWSxCOLUMNS such as 4x5, each from 1 to 50"):
+        command(RIG, grid_text=text)
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [

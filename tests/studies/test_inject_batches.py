@@ -31,8 +31,12 @@ def over(number: int, verdict: Verdict = Verdict.OK, **more: float) -> Injected:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "skip", "skip@", "skip@0", "skip@-1", "skip@x", "resume@2", "stop@2", "skip@2:", "skip@2:paused", "@"]
-)
+    "text",
+    [
+        "", "skip", "skip@", "skip@0", "skip@-1", "skip@x", "resume@2", "stop@2", "skip@2:", "skip@2:paused", "@",
+        "skip@²", "skip@" + "9" * 5000,
+    ],
+)  # fmt: skip
 def test_a_declared_request_that_is_none_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(RigError, match="as skip@3 or pause@2:press"):
         declared(text)

@@ -41,6 +41,7 @@ class BenchCell:
     shift: float = 0.0
     tip: float = 0.0
     flow: float = 20.0  # bolus per s of pulse
+    closes_after: int | None = None  # ticks of the pulse: the gate keeps the valve shut from then on
     stays: float = 0.0  # N that pulls on the tip once it has been in
     pulses: list[float] = field(default_factory=list)  # depth at each tick with the valve open, pierced
     unpierced_pulses: int = 0
@@ -67,6 +68,7 @@ class Bench:
         self._dead: tuple[float, int] | None = None
         self.answer: References | None = None
         self._origin = 0  # tick in which the motion began
+        self._given = 0  # outputs that were set a tick ago
         motion.begin([0.0, 0.0, 0.0])
 
     def run(self, most: int = 20_000) -> None:
@@ -146,12 +148,14 @@ class Bench:
             Observation(
                 self.tick - self._origin, ends, [s[0] for s in self.state], [s[1] for s in self.state], self.state,
                 readings,
-                [0, *[self.tick - came] * 4], request,
+                [0, *[self.tick - came] * 4], request, self._given,
             )
         )  # fmt: skip
         self.phases.append(self.answer.phase)
         self.places.append(self.answer.position[2])
-        if self.answer.outputs:
+        shut = cell.closes_after is not None and len(cell.pulses) >= cell.closes_after
+        self._given = 0 if shut else self.answer.outputs
+        if self._given:
             pierced = self._pierced[self._cell] is not None
             cell.unpierced_pulses += not pierced
             self.bolus += cell.flow * 1e-3 * pierced

@@ -44,6 +44,8 @@ class Observation(NamedTuple):
     the rig's own filter, when the coming force begins to act. reference: position, velocity and acceleration in force
     at that instant, m, m/s, m/s^2: what was asked for a tick ago, where it was within the limits. readings: the newest
     of every sensor. ages: ticks since each was sampled. request: what the operator asks for in this tick alone.
+    outputs: bit i where output i was set a tick ago. A tick with a fault clears it, and it stays so until it is asked
+    for anew.
     """
 
     tick: int
@@ -54,6 +56,7 @@ class Observation(NamedTuple):
     readings: Sequence[Reading]
     ages: Sequence[int]
     request: Request = Request.NONE
+    outputs: int = 0
 
 
 class References(NamedTuple):

@@ -1,5 +1,6 @@
 """`hil inject`: a batch of cells, in virtual time, live on the emulated stage, or of a rig that runs."""
 
+import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -258,10 +259,10 @@ def _compare(planned: Callable[[dict[str, Any]], Plan], json_target: str, consol
 
 
 def _grid(text: str, pitch: float, centre: tuple[float, float]) -> Positions:
-    rows, cross, columns = text.partition("x")
-    if not (cross and rows.isdigit() and columns.isdigit() and 0 < int(rows) <= 50 and 0 < int(columns) <= 50):
-        raise RigError([f"--grid {text!r}: expected ROWSxCOLUMNS such as 4x5, each from 1 to 50"])
-    return grid(int(rows), int(columns), pitch, centre)
+    found = re.fullmatch("([1-9]|[1-4][0-9]|50)x([1-9]|[1-4][0-9]|50)", text)
+    if found is None:
+        raise RigError([f"--grid {text[:40]!r}: expected ROWSxCOLUMNS such as 4x5, each from 1 to 50"])
+    return grid(int(found[1]), int(found[2]), pitch, centre)
 
 
 def _live(plan: Plan, followers: Sequence[Follower], script: Sequence[Declared], console: Console) -> Batch:

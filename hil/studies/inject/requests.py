@@ -25,7 +25,8 @@ def declared(text: str) -> Declared:
     word, _, place = text.partition("@")
     number, colon, phase = place.partition(":")
     known = [name for name in WORDS if name != "resume"]
-    if word not in known or not number.isdecimal() or int(number) < 1 or (colon and phase not in _PHASES):
+    counts = number.isdecimal() and len(number) <= 4 and int(number) >= 1
+    if word not in known or not counts or (colon and phase not in _PHASES):
         raise RigError(
             [
                 f"--ask {text[:40]!r}: expected WORD@CELL or WORD@CELL:PHASE, as skip@3 or pause@2:press; WORD is one "

@@ -46,6 +46,8 @@ def test_a_good_cell_goes_through_all_phases_in_their_order_and_is_ok() -> None:
         (BenchCell(dead_after=10), Verdict.SENSOR_DEAD, 0),
         (BenchCell(camera_until=250), Verdict.CAMERA_FROZEN, 0),
         (BenchCell(flow=3.0), Verdict.CLOGGED, 50),
+        (BenchCell(closes_after=13), Verdict.UNKNOWN, 13),
+        (BenchCell(closes_after=40), Verdict.OK, 40),
         (BenchCell(stays=4e-4), Verdict.STUCK, 50),
     ],
 )
@@ -59,6 +61,14 @@ def test_each_anomaly_has_its_verdict_and_none_a_pulse_that_is_not_due(
     assert bench.peak < 1.05 * 1.4e-3
     assert bench.answer is not None
     assert bench.answer.position[2] == 0.0  # at the safe height
+
+
+@pytest.mark.parametrize("ticks", [0, 13])
+def test_a_pulse_that_the_gate_cut_short_is_told_with_its_length(ticks: int) -> None:
+    """A tick with a fault closes the valve. The bolus that is missing then was taken for a clogged pipette."""
+    (result,) = injected(BenchCell(closes_after=ticks)).motion.results
+    assert result.evidence == f"the valve closed {ticks} ms into a pulse of 50 ms"
+    assert result.bolus == pytest.approx(ticks / 50)
 
 
 @pytest.mark.requirement(id="SR-8.3")

@@ -11,7 +11,8 @@
 | withdraw, lift | at the safe height, the force at zero | stuck |
 
 In every phase behind the approach a force sensor or a camera that says nothing new ends the injection. The pulse is
-given only behind a puncture that was seen, and a frame that shows the cell in its place.
+given only behind a puncture that was seen, and a frame that shows the cell in its place. A bolus that is missing after
+a pulse that the gate cut short makes the cell unknown, not clogged.
 """
 
 from collections.abc import Callable
@@ -36,6 +37,7 @@ _SEEN_LATER = (
     Verdict.DOUBLE,
     Verdict.BURST,
 )  # a cell that rolls away can look like any of these
+_BOLUS = "the bolus that the camera sees"
 ZERO_NOISE = 5.0
 ZERO_SAMPLES = 16
 
@@ -55,6 +57,7 @@ class CellRun:
         self._zeros: list[float] = []
         self.phase = Phase.NONE
         self.pulse = self.over = False
+        self._closed = ""
         self._steps: dict[Phase, Callable[[Observation], None]] = {
             Phase.APPROACH: self._approach, Phase.TARE: self._tare, Phase.SEEK: self._seek, Phase.PRESS: self._press,
             Phase.FREEZE: self._freeze, Phase.ADVANCE: self._advance, Phase.PULSE: self._give_pulse,
@@ -236,6 +239,9 @@ class CellRun:
 
     def _confirm(self, seen: Observation) -> None:
         elapsed, bolus = self._elapsed(seen), self._senses.bolus
+        if self.pulse and not seen.outputs and not self._closed:  # a tick with a fault, or a node that is not ready
+            given = (seen.tick - self._since - 1) * self._period
+            self._closed = f"the valve closed {given * 1e3:.0f} ms into a pulse of {self._s.pulse_s * 1e3:.0f} ms"
         if elapsed >= self._s.pulse_s:
             self.pulse = False
         if elapsed < self._s.dwell_s:
@@ -244,8 +250,12 @@ class CellRun:
             self.decide(Verdict.UNKNOWN, "nothing shows the bolus", seen)
         elif bolus.exposed - self._since >= AFTER_PULSE_S / self._period:
             self.result.bolus = bolus.value
-            full = bolus.value >= self._s.bolus_least
-            self.decide(Verdict.OK if full else Verdict.CLOGGED, "the bolus that the camera sees", seen)
+            if bolus.value >= self._s.bolus_least:
+                self.decide(Verdict.OK, _BOLUS, seen)
+            elif self._closed:
+                self.decide(Verdict.UNKNOWN, self._closed, seen)
+            else:
+                self.decide(Verdict.CLOGGED, _BOLUS, seen)
         elif elapsed > AFTER_PULSE_S + PATIENCE_S + self._s.camera_latency_s:
             self.decide(Verdict.CAMERA_FROZEN, "no frame behind the pulse", seen)
 
