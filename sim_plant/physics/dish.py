@@ -184,10 +184,12 @@ class Dish:
 
     @property
     def bolus(self) -> float:
-        """Of the last pulse in the cell under the tip; 0 before, and where there is none."""
-        if self._open_ns >= 0 and self._pulse[0] is self.under and self.under:
-            return self._pulse[2]
-        return self.under.pulses[-1].bolus if self.under and self.under.pulses else 0.0
+        """In the cell under the tip, of all pulses so far; 0 where there is none."""
+        cell = self.under
+        if cell is None:
+            return 0.0
+        given = self._pulse[2] if self._open_ns >= 0 and self._pulse[0] is cell else 0.0
+        return given + sum(pulse.bolus for pulse in cell.pulses)
 
     @property
     def tip_error(self) -> float:

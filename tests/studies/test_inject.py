@@ -64,6 +64,28 @@ def test_a_puncture_is_known_within_5_ms_and_the_tip_stops_within_7_ms_of_its_wa
 
 
 @pytest.mark.long
+def test_a_tick_that_is_missed_in_the_pulse_costs_no_cell() -> None:
+    """It stops nothing, but closes the valve. Live, such a cell had a quarter of its bolus and was called clogged."""
+    run = LockstepRun(equipped(1), RIGS)
+    decided = run.cycle.supervisor.goals.decided
+    assert decided is not None
+    since = 0
+    while not decided.motion.results:
+        run.tick()
+        since += decided.phase == Phase.CONFIRM
+        if since == 13:
+            run.skip(1)
+        assert run.index < 3000
+    (result,) = decided.motion.results
+    assert (result.verdict, since > 13, run.cycle.fault) == (Verdict.OK, True, 0)
+    assert run.stage.dish is not None
+    first, second = (pulse.bolus for pulse in run.stage.dish.cells[0].pulses)
+    assert 0.2 < first < 0.4
+    assert first + second == pytest.approx(1.0, abs=0.05)
+    assert result.bolus == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.long
 def test_the_record_tells_phase_cell_verdict_and_valve() -> None:
     rig = equipped(2)
     rows = []

@@ -42,6 +42,7 @@ class BenchCell:
     tip: float = 0.0
     flow: float = 20.0  # bolus per s of pulse
     closes_after: int | None = None  # ticks of the pulse: the gate keeps the valve shut from then on
+    cut_after: int | None = None  # the same, until the motion has asked for a shut valve once
     stays: float = 0.0  # N that pulls on the tip once it has been in
     pulses: list[float] = field(default_factory=list)  # depth at each tick with the valve open, pierced
     unpierced_pulses: int = 0
@@ -69,6 +70,7 @@ class Bench:
         self.answer: References | None = None
         self._origin = 0  # tick in which the motion began
         self._given = 0  # outputs that were set a tick ago
+        self._cut = False
         motion.begin([0.0, 0.0, 0.0])
 
     def run(self, most: int = 20_000) -> None:
@@ -153,8 +155,11 @@ class Bench:
         )  # fmt: skip
         self.phases.append(self.answer.phase)
         self.places.append(self.answer.position[2])
+        if cell.cut_after == len(cell.pulses):
+            cell.cut_after, self._cut = None, True
+        self._cut = self._cut and self.answer.outputs != 0
         shut = cell.closes_after is not None and len(cell.pulses) >= cell.closes_after
-        self._given = 0 if shut else self.answer.outputs
+        self._given = 0 if shut or self._cut else self.answer.outputs
         if self._given:
             pierced = self._pierced[self._cell] is not None
             cell.unpierced_pulses += not pierced

@@ -63,11 +63,19 @@ def test_each_anomaly_has_its_verdict_and_none_a_pulse_that_is_not_due(
     assert bench.answer.position[2] == 0.0  # at the safe height
 
 
+@pytest.mark.parametrize("ticks", [1, 13, 49])
+def test_a_pulse_that_one_bad_tick_cut_is_given_to_its_end(ticks: int) -> None:
+    bench = injected(BenchCell(cut_after=ticks))
+    (result,) = bench.motion.results
+    assert (result.verdict, len(bench.cells[0].pulses)) == (Verdict.OK, 50)
+    assert result.bolus == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("ticks", [0, 13])
-def test_a_pulse_that_the_gate_cut_short_is_told_with_its_length(ticks: int) -> None:
-    """A tick with a fault closes the valve. The bolus that is missing then was taken for a clogged pipette."""
+def test_a_pulse_that_the_gate_cuts_for_good_is_told_with_its_length(ticks: int) -> None:
+    """The bolus that is missing then was taken for a clogged pipette."""
     (result,) = injected(BenchCell(closes_after=ticks)).motion.results
-    assert result.evidence == f"the valve closed {ticks} ms into a pulse of 50 ms"
+    assert result.evidence == f"the valve was open for {ticks} ms of a pulse of 50 ms"
     assert result.bolus == pytest.approx(ticks / 50)
 
 

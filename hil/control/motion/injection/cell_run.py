@@ -11,8 +11,8 @@
 | withdraw, lift | at the safe height, the force at zero | stuck |
 
 In every phase behind the approach a force sensor or a camera that says nothing new ends the injection. The pulse is
-given only behind a puncture that was seen, and a frame that shows the cell in its place. A bolus that is missing after
-a pulse that the gate cut short makes the cell unknown, not clogged.
+given only behind a puncture that was seen, and a frame that shows the cell in its place. A pulse that the gate cut
+is given to its end; where it cannot be, a bolus that is missing makes the cell unknown, not clogged.
 """
 
 from collections.abc import Callable
@@ -30,6 +30,7 @@ SLIP_TICKS = 6  # until the force of a pierced membrane is gone, unless another 
 SLOPE_TICKS = 12
 LOOK_AHEAD_TICKS = 4  # from a sample to the place where the tip can be made to stop: two of delay, two of braking
 AFTER_PULSE_S = 0.1  # that a frame is exposed after the pulse's beginning which shows the bolus
+PULSE_SPAN = 1.5  # times its length: within this a pulse that was cut is ended
 PATIENCE_S = 0.2  # for that frame beyond this and the camera's latency
 _SEEN_LATER = (
     Verdict.NO_CELL,
@@ -57,7 +58,7 @@ class CellRun:
         self._zeros: list[float] = []
         self.phase = Phase.NONE
         self.pulse = self.over = False
-        self._closed = ""
+        self._open = 0  # ticks of the pulse
         self._steps: dict[Phase, Callable[[Observation], None]] = {
             Phase.APPROACH: self._approach, Phase.TARE: self._tare, Phase.SEEK: self._seek, Phase.PRESS: self._press,
             Phase.FREEZE: self._freeze, Phase.ADVANCE: self._advance, Phase.PULSE: self._give_pulse,
@@ -239,11 +240,7 @@ class CellRun:
 
     def _confirm(self, seen: Observation) -> None:
         elapsed, bolus = self._elapsed(seen), self._senses.bolus
-        if self.pulse and not seen.outputs and not self._closed:  # a tick with a fault, or a node that is not ready
-            given = (seen.tick - self._since - 1) * self._period
-            self._closed = f"the valve closed {given * 1e3:.0f} ms into a pulse of {self._s.pulse_s * 1e3:.0f} ms"
-        if elapsed >= self._s.pulse_s:
-            self.pulse = False
+        short = self._keep_open(seen, elapsed)
         if elapsed < self._s.dwell_s:
             return
         if bolus is None or not self._s.valve:
@@ -252,12 +249,24 @@ class CellRun:
             self.result.bolus = bolus.value
             if bolus.value >= self._s.bolus_least:
                 self.decide(Verdict.OK, _BOLUS, seen)
-            elif self._closed:
-                self.decide(Verdict.UNKNOWN, self._closed, seen)
+            elif short:
+                self.decide(Verdict.UNKNOWN, short, seen)
             else:
                 self.decide(Verdict.CLOGGED, _BOLUS, seen)
         elif elapsed > AFTER_PULSE_S + PATIENCE_S + self._s.camera_latency_s:
             self.decide(Verdict.CAMERA_FROZEN, "no frame behind the pulse", seen)
+
+    def _keep_open(self, seen: Observation, elapsed: float) -> str:
+        """Open the valve for the time of a pulse. A tick with a fault closes it until it has not been asked for once;
+        it is then asked for anew. Returns by how much the pulse is short so far; empty: it is whole.
+        """
+        self._open += seen.outputs != 0
+        given, wanted = self._open * self._period, self._s.pulse_s
+        cut = self.pulse and not seen.outputs
+        self.pulse = bool(self._s.valve) and not cut and given < wanted and elapsed < PULSE_SPAN * wanted
+        return (
+            f"the valve was open for {given * 1e3:.0f} ms of a pulse of {wanted * 1e3:.0f} ms" if given < wanted else ""
+        )
 
     def _withdraw(self, seen: Observation) -> None:
         if self._senses.fresh:
