@@ -123,6 +123,7 @@ def test_a_grid_goes_to_and_fro_around_its_middle() -> None:
         ("x,y\n1e-3,oops\n", "row 1, column y"),
         ("x,y\n1e-3\n", "row 1: 1 values"),
         ("x,y\n1e-3,nan\n", "row 1: x = 0.001, y = nan"),
+        ("x,y,x\n0,0,1\n", "two columns 'x'"),
     ],
 )
 def test_a_file_of_cells_that_is_none_is_refused_by_line(tmp_path: Path, text: str, said: str) -> None:
@@ -171,6 +172,32 @@ def test_the_same_cells_are_compared_by_every_z_law(tmp_path: Path, capsys: pyte
     assert felt < 30e-6
     assert rows["visual"]["further"][0] > 3 * felt
     assert "4 mm/s" in capsys.readouterr().out
+
+
+def test_a_cell_beyond_the_travel_is_refused_by_its_file_or_option(tmp_path: Path) -> None:
+    from hil.studies.inject.command import inject as command
+
+    path = tmp_path / "cells.csv"
+    path.write_text("x,y\n0,0\n0,0.5\n")
+    with pytest.raises(RigError, match=r"cells.csv: cell 2 has y = 0.5 m; allowed: -0.02575 to 0.02575"):
+        command(RIG, cells=path)
+    with pytest.raises(RigError, match=r"--grid 1x50 --pitch 0.01: cell 1 has x = -0.245 m; allowed"):
+        command(RIG, grid_text="1x50", pitch=0.01)
+
+
+def test_a_batch_in_virtual_time_that_is_interrupted_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hil.studies.inject import command
+
+    def interrupted(*_: object, **__: object) -> Batch:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "inject_batch", interrupted)
+    monkeypatch.setattr("sys.argv", ["hil", "inject", "microscope", "--csv", "my cells.csv", "--resume"])
+    with pytest.raises(KeyboardInterrupt):
+        command.inject(RIG, csv_target=str(tmp_path / "cells.csv"))
+    assert capsys.readouterr().err == "to go on: hil inject microscope --csv 'my cells.csv' --resume\n"
 
 
 @pytest.mark.parametrize("text", ["", "x", "4", "0x5", "-1x3", "51x1", "1x1x1", "²x5", "4x5\n", "9" * 5000 + "x1"])

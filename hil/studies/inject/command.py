@@ -27,6 +27,7 @@ from hil.studies.inject.batch import inject as inject_batch
 from hil.studies.inject.equipment import (
     MOST_CELLS,
     Positions,
+    check_within,
     grid,
     has_equipment,
     middle,
@@ -122,10 +123,7 @@ def inject(
         _attach(rig_file, script, csv_target, report_target, json_target, console)
         return
     rig = load_rig(rig_file, overrides or ())
-    centre = middle(rig)
-    places = _grid(grid_text, pitch, centre) if cells is None else read_positions(cells)
-    if len(places) > MOST_CELLS:
-        raise RigError([f"{len(places)} cells; allowed: up to {MOST_CELLS}"])
+    places = _places(rig, cells, grid_text, pitch)
     done = read_sheet(Path(csv_target), places) if resume else []
     if len(done) == len(places):
         console.print(f"All {len(done)} cells of {csv_target} are over.")
@@ -157,9 +155,13 @@ def inject(
         if live:
             batch = _live(plan, followers, script, console)
         else:
-            batch = inject_batch(
-                plan.rig, rig_file.parent, followers, Script(script), plan.layout, keep=bool(report_target)
-            )
+            try:
+                batch = inject_batch(
+                    plan.rig, rig_file.parent, followers, Script(script), plan.layout, keep=bool(report_target)
+                )
+            except KeyboardInterrupt:
+                _say_how_to_go_on(csv_target)
+                raise
     batch.cells[:0] = done
     limit = float(plan.rig.motion.parameters.get("force_limit", 1.4e-3))
     held = float(plan.rig.motion.parameters.get("hold_force", Settings.hold_force))
@@ -258,6 +260,16 @@ def _compare(planned: Callable[[dict[str, Any]], Plan], json_target: str, consol
         sys.exit(1)
 
 
+def _places(rig: RigConfig, cells: Path | None, grid_text: str, pitch: float) -> Positions:
+    """Of the file, else of the grid. Raises RigError where there are too many, or one is beyond the travel."""
+    centre = middle(rig)
+    places = _grid(grid_text, pitch, centre) if cells is None else read_positions(cells)
+    if len(places) > MOST_CELLS:
+        raise RigError([f"{len(places)} cells; allowed: up to {MOST_CELLS}"])
+    check_within(rig, places, f"--grid {grid_text} --pitch {pitch:g}" if cells is None else str(cells))
+    return places
+
+
 def _grid(text: str, pitch: float, centre: tuple[float, float]) -> Positions:
     found = re.fullmatch("([1-9]|[1-4][0-9]|50)x([1-9]|[1-4][0-9]|50)", text)
     if found is None:
@@ -317,15 +329,15 @@ def _leave(
         broken = bool(batch.cells) and batch.cells[-1].result.verdict.name == "BROKEN"
         why = batch.failure or batch.fault or ("the tip is broken" if broken else "it was ended before")
         print(f"hil inject: {len(batch.cells)} of {batch.planned} cells: {why}", file=sys.stderr)
-        if csv_target and again:
-            command = shlex.join([*_again(sys.argv), "--resume"])
-            print(f"to go on: {command}", file=sys.stderr)
+        if again:
+            _say_how_to_go_on(csv_target)
         sys.exit(1)
     if any(line.holds is False for line in lines):
         sys.exit(1)
 
 
-def _again(arguments: Sequence[str]) -> list[str]:
-    """The command that was typed, without what must not be said twice."""
-    found = ["hil", *arguments[1:]]
-    return [word for word in found if word != "--resume"]
+def _say_how_to_go_on(csv_target: str) -> None:
+    """The command that was typed, with --resume; nothing where no file holds the cells that are over."""
+    if csv_target:
+        typed = [word for word in ("hil", *sys.argv[1:]) if word != "--resume"]
+        print(f"to go on: {shlex.join([*typed, '--resume'])}", file=sys.stderr)

@@ -61,6 +61,8 @@ def _columns(path: Path, wanted: Mapping[str, str]) -> list[list[float]]:
     def chosen(header: Sequence[str]) -> list[str]:
         if missing := [name for name in wanted if name not in header]:
             raise TaskFileError(f"{path}: no column {missing[0]!r}; expected {units}")
+        if twice := [name for name in wanted if header.count(name) > 1]:
+            raise TaskFileError(f"{path}: two columns {twice[0]!r}; expected one")
         return list(wanted)
 
     try:
@@ -81,6 +83,16 @@ def middle(rig: RigConfig) -> tuple[float, float]:
             raise RigError([f"axes: {', '.join(rig.axes)}; an injection needs x, y and z"])
     low_high = [rig.axes[name].limits.position for name in ("x", "y")]
     return (sum(low_high[0]) / 2, sum(low_high[1]) / 2)
+
+
+def check_within(rig: RigConfig, places: Positions, source: str) -> None:
+    """Refuse cells beyond the travel of x and y. source: the file or option that they are of. Raises RigError."""
+    limits = dict(zip(rig.axis_names, motion_limits(rig), strict=True))
+    for number, place in enumerate(places, 1):
+        for name, value in zip(("x", "y"), place, strict=True):
+            low, high = limits[name].low, limits[name].high
+            if not low <= value <= high:
+                raise RigError([f"{source}: cell {number} has {name} = {value:g} m; allowed: {low:g} to {high:g}"])
 
 
 def has_equipment(rig: RigConfig) -> bool:
