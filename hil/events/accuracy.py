@@ -74,6 +74,17 @@ class _Look(NamedTuple):
     clear: bool = True
 
 
+class _Tremor(NamedTuple):
+    """An error that trembles more than it did. plain: needs no second window. noisy: plainly noise, from the window's
+    beginning to its end: no force makes that.
+    """
+
+    loss: Loss
+    look: _Look
+    plain: bool
+    noisy: bool
+
+
 _OFFSET: Final = _Look(
     "bias", ", nearly all of it its mean",
     "the law no longer holds the axis where it should: a force or a gain changed",
@@ -142,13 +153,18 @@ class _Judge:
             return None
         if stuck := self._stuck(axis, resting=resting):
             return stuck
-        forced, loss = self._forced(axis, resting=resting)
-        if forced:  # which shakes the axis, too
-            return loss
         error = axis["following_error"]
-        trembles = {"fast": tremble(error, 1), "slow": tremble(error, self._lag)}
-        shaken, loss = self._shaken(axis, trembles, resting=resting)
-        return loss if shaken else self._strayed(axis)
+        figures = {"fast": tremble(error, 1), "slow": tremble(error, self._lag)}
+        tremor = self._tremor(axis, figures, resting=resting)
+        if not (tremor and tremor.noisy):  # noise makes the law push; other forces shake the axis, too
+            forced, loss = self._forced(axis, resting=resting)
+            if forced:
+                return loss
+        if tremor:
+            self._clear = tremor.look if tremor.look.clear else None
+            return self._once("tremble", tremor.loss, windows=1 if tremor.plain else LOST_IN)
+        self._steady(figures, resting=resting)
+        return self._strayed(axis)
 
     def _strayed(self, axis: dict[str, Floats]) -> Loss | None:
         """What else is beyond the baseline of this rig and task: the error, what the model did not foresee."""
@@ -244,33 +260,32 @@ class _Judge:
         steady = resting or bool(abs(np.sign(axis["setpoint_velocity"]).sum()) == len(axis["position"]))
         return self._once("stuck", loss, windows=1 if steady else LOST_IN)
 
-    def _shaken(
-        self, axis: dict[str, Floats], figures: dict[str, float], *, resting: bool
-    ) -> "tuple[bool, Loss | None]":
-        """(whether the error trembles more than it did, what is to be told of it)."""
-        worst, limit = "", 0.0
+    def _tremor(self, axis: dict[str, Floats], figures: dict[str, float], *, resting: bool) -> "_Tremor | None":
+        """Where the error trembles more than it did."""
         for name, value in figures.items():  # the fast one, if it is beyond: what is noise shakes the loop, too
             key = (resting, name)
             known = self._seen[key] >= KNOWN
             bound = max(_LEAST[key][known] * self._axis.resolution, FACTOR * self._most[key] if known else 0.0)
-            if value > bound and not worst:
-                worst, limit = name, bound
-        if not worst:
-            for name, value in figures.items():
-                self._most[resting, name] = max(self._most[resting, name], value)
-                self._seen[resting, name] += 1
-            self._good("tremble")
-            self._clear = None
-            return False, None
-        look = self._clear or self._look(axis, worst, resting=resting)
-        self._clear = look if look.clear else None
-        measured = f"following error's tremble, {worst}{look.words}"
-        loss = Loss(0, 0, look.signature, measured, figures[worst], limit, "m", look.cause, look.action)
-        plain = look.clear and figures[worst] > PLAIN * limit
-        if plain and look.signature == "noise":  # which filled the window from its beginning on
-            half = axis["following_error"][: len(axis["following_error"]) // 2]
-            plain = worst == "fast" and tremble(half, 1) > PLAIN * limit
-        return True, self._once("tremble", loss, windows=1 if plain else LOST_IN)
+            if value > bound:
+                return self._tremor_of(axis, name, value, bound, self._clear or self._look(axis, name, resting=resting))
+        return None
+
+    @staticmethod
+    def _tremor_of(axis: dict[str, Floats], name: str, value: float, bound: float, look: _Look) -> "_Tremor":
+        measured = f"following error's tremble, {name}{look.words}"
+        loss = Loss(0, 0, look.signature, measured, value, bound, "m", look.cause, look.action)
+        noise = look.signature == "noise"
+        halves = np.array_split(axis["following_error"], 2)
+        noisy = noise and name == "fast" and min(tremble(half, 1) for half in halves) > PLAIN * bound
+        return _Tremor(loss, look, noisy or (not noise and look.clear and value > PLAIN * bound), noisy)
+
+    def _steady(self, figures: dict[str, float], *, resting: bool) -> None:
+        """The error trembles no more than it did."""
+        for name, value in figures.items():
+            self._most[resting, name] = max(self._most[resting, name], value)
+            self._seen[resting, name] += 1
+        self._good("tremble")
+        self._clear = None
 
     def _look(self, axis: dict[str, Floats], worst: str, *, resting: bool) -> "_Look":
         """What the window's spectrum shows; of the fast difference where that is the worst, which makes the loop's

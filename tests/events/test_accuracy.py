@@ -131,6 +131,16 @@ def test_a_quiet_fault_is_told_within_half_a_second_with_axis_and_signature(name
         assert float(first.measured.split("period of ")[1].split()[0]) == pytest.approx(20e-6, rel=0.1)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_noise_at_rest_is_told_as_noise_though_the_law_answers_it_with_a_force(axis: int) -> None:
+    records, seconds = sound(), np.arange(TICKS) * 1e-3
+    noise(records, axis, seconds >= 6.02, seconds)
+    push(records, axis, seconds >= 6.02, seconds)
+    first = told(records)[0]
+    assert (first.name, first.axis) == ("noise", AXES[axis][0])
+    assert 6.02 < first.run_ns * 1e-9 <= 6.52
+
+
 @pytest.mark.parametrize("change", [vibration, scale])
 def test_at_a_constant_speed_frequency_and_period_are_both_told(change: Change) -> None:
     records, seconds = sound(constant=True), np.arange(TICKS) * 1e-3

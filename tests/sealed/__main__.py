@@ -56,13 +56,14 @@ def main() -> int:
     parser.add_argument("--sound", type=int, default=0, help="runs without a fault, instead of faults")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="answers of sound runs, which are not run again")
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no sound run after so many")
+    parser.add_argument("--first", type=int, default=0, help="number of the first sound run to make [0]")
     parser.add_argument("--folder", type=Path, help="where seal and truth are kept [a temporary one]")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="hil-sealed-") as scratch:
         folder: Path = asked.folder or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         if asked.sound:
-            good = sound(asked.seed, asked.sound, folder, asked.kept, asked.minutes)
+            good = sound(asked.seed, asked.sound, folder, asked.kept, asked.minutes, asked.first)
         else:
             good = faults(asked.seed, asked.count, folder)
     return 0 if good else 1

@@ -12,16 +12,19 @@ from tests.sealed.draw import Case, draw_sound
 from tests.sealed.run import answers
 
 
-def sound(seed: int, count: int, scratch: Path, kept: Path | None = None, minutes: float = float("inf")) -> bool:
+def sound(
+    seed: int, count: int, scratch: Path, kept: Path | None = None, minutes: float = float("inf"), first: int = 0
+) -> bool:
     """Whether nothing was told in any of so many runs. kept: answers of earlier calls, which are not run again, and of
-    this one. minutes: no run is begun after so many, and what is still to come is no failure.
+    this one. minutes: no run is begun after so many, and what is still to come is no failure. first: number of the
+    first run to make; those before it are drawn and left out.
     """
     draw = random.Random(seed)
     cases = [draw_sound(draw) for _ in range(count)]
     told = _read(kept, seed)
     until = time.monotonic() + 60.0 * minutes
     for number, case in enumerate(cases):
-        if number not in told and time.monotonic() < until:
+        if number >= first and number not in told and time.monotonic() < until:
             told[number] = answers([case], scratch)[0].line
             _keep(kept, seed, number, told[number])
     done = [number for number in told if number < count]
