@@ -27,6 +27,13 @@ def printable(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
+def words_of(error: BaseException) -> str:
+    """Why something failed: in the system's words, in the exception's own, or else the kind of exception; never
+    empty.
+    """
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
 def open_untrusted(path: str | os.PathLike[str], largest: int) -> BinaryIO:
     """A regular file of at most `largest` bytes, open for reading; nothing is waited for.
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import can
 
+from drivers.base.text_file import words_of
 from drivers.bus.local_bus import from_message, to_message
 from drivers.bus.port import PortError, resolve_interface
 from drivers.config import KERNEL_INTERFACES, BusConfig
@@ -42,8 +43,7 @@ def open_bus(config: BusConfig, *, fd: bool = True) -> can.BusABC:
         known = ", ".join(sorted(can.VALID_INTERFACES))
         raise PortError(f"bus.interface = '{name}': {error}; python-can knows {known}") from error
     except Exception as error:  # each adapter's library fails in its own way
-        reason = str(error) or type(error).__name__
-        raise PortError(f"bus.channel = '{config.channel}' ({name}): {reason}") from error
+        raise PortError(f"bus.channel = '{config.channel}' ({name}): {words_of(error)}") from error
 
 
 class AnyPort:

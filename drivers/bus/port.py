@@ -23,6 +23,7 @@ from time import monotonic_ns, time_ns
 from typing import Final, Literal, Protocol
 
 from drivers.base.runtime import RuntimeDirectoryError
+from drivers.base.text_file import words_of
 from drivers.bus.counters import BusState, PortCounters
 from drivers.bus.error_frames import decode_error
 from drivers.bus.local_medium import LocalMedium
@@ -395,4 +396,4 @@ def _explain(error: Exception) -> str:
         )
     if number == errno.ENODEV:
         return 'no such interface; see `ip link`, or say bus.interface = "local"'
-    return getattr(error, "strerror", None) or str(error)
+    return words_of(error)

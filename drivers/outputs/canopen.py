@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from drivers.base.text_file import words_of
 from drivers.eds.reader import Eds, EdsError, object_name, read_eds
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import NmtState
@@ -51,7 +52,7 @@ class CanopenOutputs:
         except EdsError as error:
             raise LayoutError(f"{where}.file: {error}") from None
         except OSError as error:
-            raise LayoutError(f"{where}.file: {base_dir / config.file}: {error.strerror or error}") from None
+            raise LayoutError(f"{where}.file: {base_dir / config.file}: {words_of(error)}") from None
         _check_profile(where, config, eds)
         cob = eds.value(PARAMETERS, 1)
         found = -1 if cob is None else cob & cia301.STANDARD_IDS

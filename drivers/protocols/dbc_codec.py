@@ -17,7 +17,7 @@ from cantools.database import UnsupportedDatabaseFormatError  # type: ignore[att
 from cantools.database.can import Database, Message, Signal
 from cantools.database.errors import Error as CantoolsError
 
-from drivers.base.text_file import UnsuitableFileError, read_bounded
+from drivers.base.text_file import UnsuitableFileError, read_bounded, words_of
 from drivers.base.toml_file import short
 from drivers.protocols.base import LayoutError
 
@@ -70,7 +70,7 @@ def read_dbc(path: Path) -> str:
     try:
         data = read_bounded(path, LARGEST_FILE)
     except OSError as error:
-        raise LayoutError(f"{path}: {error.strerror or error}") from None
+        raise LayoutError(f"{path}: {words_of(error)}") from None
     except UnsuitableFileError as error:
         raise LayoutError(f"{path}: not a usable DBC file: {error}") from None
     # cp1252 is the encoding of DBC files, as in cantools; names and numbers are ASCII whatever its comments are in

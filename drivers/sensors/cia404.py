@@ -9,6 +9,7 @@ What it says before that is not valid. The mapping is the device's own: a DCF sa
 import struct
 from pathlib import Path
 
+from drivers.base.text_file import words_of
 from drivers.eds.data_types import Kind
 from drivers.eds.reader import Eds, EdsError, Entry, object_name, read_eds
 from drivers.families.cia402 import cia301
@@ -86,7 +87,7 @@ class Cia404Sensor:
         except (EdsError, LayoutError) as error:
             raise LayoutError(f"{where}.file: {error}") from None
         except OSError as error:
-            raise LayoutError(f"{where}.file: {base_dir / config.file}: {error.strerror or error}") from None
+            raise LayoutError(f"{where}.file: {base_dir / config.file}: {words_of(error)}") from None
         if config.fd:
             raise LayoutError(f"{where}.fd = true: CANopen devices send classic frames; expected false")
         if tpdo.can_id != config.can_id:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.base.text_file import UnsuitableFileError, read_bounded
+from drivers.base.text_file import UnsuitableFileError, read_bounded, words_of
 from drivers.base.toml_file import short
 from hil.analysis.flexible_plant import FlexiblePlant
 from hil.analysis.loop_corners import Corner, CornerFinding
@@ -65,7 +65,7 @@ def read_response(path: Path) -> tuple[Array, Complex]:
             raise RigError([f"{path}: {len(lines)} lines: at most {MOST_LINES}"])
         rows = list(csv.reader(lines))
     except OSError as error:
-        raise RigError([f"{path}: {error.strerror or error}"]) from None
+        raise RigError([f"{path}: {words_of(error)}"]) from None
     except (UnicodeDecodeError, UnsuitableFileError, csv.Error) as error:
         raise RigError([f"{path}: {error}"]) from None
     if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:

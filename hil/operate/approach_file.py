@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from drivers.base.named_file import write_text
-from drivers.base.text_file import UnsuitableFileError, read_bounded
+from drivers.base.text_file import UnsuitableFileError, read_bounded, words_of
 from hil.control.laws.base import Array
 from hil.rig.schema import RigError
 
@@ -80,7 +80,7 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
         lines = csv.DictReader(io.StringIO(read_bounded(path, LARGEST_FILE).decode("utf-8-sig"), newline=""))
         return [(lines.line_num, row) for row in lines]
     except OSError as error:
-        raise RigError([f"{path}: {error.strerror or error}"]) from None
+        raise RigError([f"{path}: {words_of(error)}"]) from None
     except (UnicodeDecodeError, UnsuitableFileError, csv.Error) as error:
         raise RigError([f"{path}: {error}"]) from None
 

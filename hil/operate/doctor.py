@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.base.runtime import RuntimeDirectoryError, read_private, runtime_dir
+from drivers.base.text_file import words_of
 from hil.cli.processes import worker_pool
 from hil.live.realtime import Grant, claim
 from hil.live.runtime_paths import known_sidecars
@@ -158,7 +159,7 @@ def realtime_findings() -> list[Finding]:
         with worker_pool(1) as child:
             grants = child.submit(_probe_realtime).result(timeout=30)
     except (BrokenProcessPool, TimeoutError, OSError) as error:
-        detail = f"could not be tried: {error!r}"
+        detail = f"could not be tried: {words_of(error)}"
         return [Finding("real time", "warn", detail, "run `hil doctor` as the service's user")]
     return [Finding(g.name, "ok" if g.granted else "warn", g.detail, g.remedy) for g in grants]
 

@@ -174,7 +174,7 @@ class Hub:
         async with self._computing:
             if self._margins is None or self._margins[0] != self.ring.run_id:
                 run, metadata = self.ring.run_id, self.ring.metadata
-                self._margins = run, clean(await asyncio.to_thread(margins, metadata))
+                self._margins = run, clean(await margins(metadata))
             return self._margins[1]
 
     def heard(self) -> Heard:

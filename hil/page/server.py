@@ -16,6 +16,7 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from drivers.base.text_file import words_of
 from hil.cycle.tick import CommandKind
 from hil.page.access import Access, Pairing, PairingError, Role
 from hil.page.audit import Audit
@@ -115,9 +116,11 @@ class PageServer:
             except RefusedError as error:
                 response = JSONResponse({"accepted": False, "said": error.text}, error.status)
             except (PairingError, OSError) as error:
-                response = JSONResponse({"accepted": False, "said": str(error)}, 403)
-            said = bytes(response.body).decode() if request.method == "POST" else ""
-            self._note(request, request.method, response.status_code, said)
+                response = JSONResponse({"accepted": False, "said": words_of(error)}, 403)
+            except asyncio.CancelledError:  # nobody waits for the answer any more
+                response = JSONResponse({"accepted": False, "said": "the page's server ends"}, 503)
+            answer = bytes(response.body).decode() if request.method == "POST" else ""
+            self._note(request, request.method, response.status_code, answer)
             return response
 
         return answered

@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections import deque
 from typing import Any, Final
 
 from hil.live.mapped_file import Closing
@@ -10,6 +9,7 @@ from hil.page.words import cell_words, event_words, status_words
 from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.client import NoSidecarError, RigClient, find_endpoint
+from hil.telemetry.kept_events import KeptEvents
 
 POLL_S: Final = 0.05
 SILENT_S: Final = 2.0  # after which it is looked for elsewhere
@@ -26,8 +26,7 @@ class SidecarFeed(Closing):
         self._status: dict[str, Any] = {}
         self._message: pb.Status | None = None
         self._heard_s: float | None = None
-        self._events: deque[pb_events.Event] = deque(maxlen=KEPT)
-        self._told = 0
+        self._events = KeptEvents(KEPT)
         self._cells: dict[tuple[int, int], tuple[int, pb.Cell]] = {}
         self._news = 0
         self._over = threading.Event()
@@ -55,7 +54,7 @@ class SidecarFeed(Closing):
     def told(self) -> int:
         """How many events have come so far."""
         with self._lock:
-            return self._told
+            return self._events.told
 
     def events(self, told: int = 0) -> tuple[int, list[dict[str, Any]]]:
         """How many events have come so far, and those after the first `told` that are still kept, in words."""
@@ -65,8 +64,7 @@ class SidecarFeed(Closing):
     def event_messages(self, told: int = 0) -> tuple[int, list[pb_events.Event]]:
         """The same as they came."""
         with self._lock:
-            fresh = self._told - told
-            return self._told, list(self._events)[max(len(self._events) - fresh, 0) :] if fresh > 0 else []
+            return self._events.told, self._events.since(told)
 
     @property
     def news(self) -> int:
@@ -108,8 +106,7 @@ class SidecarFeed(Closing):
             with self._lock:
                 if status is not None:
                     self._status, self._message, self._heard_s, since = status_words(status), status, now, now
-                self._events.extend(events)
-                self._told += len(events)
+                self._events.add(events)
                 self._keep_cells(cells)
             if now - since > SILENT_S:
                 return

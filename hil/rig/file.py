@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from drivers.base.text_file import words_of
 from drivers.base.toml_file import TomlError, first_problems, parse_toml, read_toml, short, shown
 from hil.rig.brought import BroughtError, bring
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
@@ -147,7 +148,7 @@ def load_rig(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig
     try:
         document = read_toml(path)
     except OSError as error:
-        raise RigError([f"{path}: {error.strerror or error}"]) from None
+        raise RigError([f"{path}: {words_of(error)}"]) from None
     except TomlError as error:
         raise RigError([f"{path}: {error}"]) from None
     try:
@@ -192,7 +193,7 @@ def _table_of(path: Path, name: str) -> Any:
     try:
         table = read_toml(path).get(name)
     except OSError as error:
-        raise RigError([f"{path}: {error.strerror or error}"]) from None
+        raise RigError([f"{path}: {words_of(error)}"]) from None
     except TomlError as error:
         raise RigError([f"{path}: {error}"]) from None
     if table is None:

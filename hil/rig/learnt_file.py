@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.base.named_file import write_text
+from drivers.base.text_file import words_of
 
 LARGEST = 2**26  # bytes
 
@@ -52,7 +53,7 @@ def _document(path: Path) -> dict[str, Any]:
             data = file.read(LARGEST + 1)
         document: Any = json.loads(data) if len(data) <= LARGEST else None
     except OSError as error:
-        raise LearntFileError(f"{path}: {error.strerror or error}") from None
+        raise LearntFileError(f"{path}: {words_of(error)}") from None
     except (ValueError, RecursionError):
         document = None
     if not isinstance(document, dict) or not isinstance(document.get("state"), dict):

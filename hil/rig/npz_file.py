@@ -15,6 +15,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from drivers.base.text_file import words_of
+
 MOST_ARRAYS = 256
 UNFOLDING = 100  # times its size, which is what numbers can be compressed to, beyond `freely`
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -51,7 +53,7 @@ def _array(data: bytes) -> NDArray[Any]:
     try:
         shape, columns_first, dtype = read_header(stream)
     except Exception as error:  # numpy parses Python source there, and says what that says
-        raise ValueError(f"an array whose header is damaged: {error}") from None
+        raise ValueError(f"an array whose header is damaged: {words_of(error)}") from None
     count, left = math.prod(shape), len(data) - stream.tell()
     if dtype.hasobject or not dtype.itemsize or min(shape, default=0) < 0 or count * dtype.itemsize != left:
         raise ValueError(f"an array of {left} bytes that says to be {dtype} {shape}"[:200])

@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from drivers.base.text_file import UnsuitableFileError, read_bounded
+from drivers.base.text_file import UnsuitableFileError, read_bounded, words_of
 from drivers.base.toml_file import short
 
 TIME = "time_s"
@@ -41,7 +41,7 @@ def file_bytes(path: Path) -> bytes:
     try:
         return read_bounded(path, LARGEST)
     except OSError as error:
-        raise TaskFileError(f"{path}: {error.strerror or error}") from None
+        raise TaskFileError(f"{path}: {words_of(error)}") from None
     except UnsuitableFileError as error:
         raise TaskFileError(f"{path}: {error}") from None
 

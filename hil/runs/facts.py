@@ -6,6 +6,7 @@ No code that a recording carries is run, and no file that it names is read (hil.
 import os
 from typing import Any
 
+from drivers.base.text_file import words_of
 from drivers.base.toml_file import short
 from hil.runs.kept import KeptRun
 
@@ -52,7 +53,7 @@ def facts_of(run: KeptRun) -> tuple[dict[str, Any], bool]:
         data = load_run(run.first)
         summary = summarise(data)
     except Exception as error:  # whatever its author put into it: one run does not hide the others
-        text = "; ".join(getattr(error, "problems", [])) or str(error) or type(error).__name__
+        text = "; ".join(getattr(error, "problems", [])) or words_of(error)
         return unread(text.replace(f"{run.first}: ", "")), True
     axes = {
         name: {"kind": data.rig.axes[name].kind, "rms_error": row["rms_error"], "max_error": row["max_error"]}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.base.named_file import naming
-from drivers.base.text_file import UnsuitableFileError, open_untrusted
+from drivers.base.text_file import UnsuitableFileError, open_untrusted, words_of
 from drivers.base.toml_file import short
 from hil.rig.file import build_rig
 from hil.rig.npz_file import read_arrays
@@ -54,7 +54,7 @@ def read_npz(path: Path) -> tuple[RigConfig, Columns, NDArray[np.float64] | None
         document = json.loads(columns.pop(_RIG).tobytes())
         ticks = len(columns["scheduled_ns"])
     except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror or error}") from None
+        raise RecordingError(f"{path}: {words_of(error)}") from None
     except (UnsuitableFileError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(f"{path}: not a run that hil has exported: {short(str(error))}") from None
     if any(values.ndim not in (1, 2) or len(values) != ticks for values in columns.values()):

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from drivers.base.text_file import words_of
+
 # run.mcap of a folder's first control process, run-2.mcap of the next, run.part-2.mcap where one goes on; black boxes.
 _RECORDING = re.compile(r"((?:run|blackbox)(?:-\d+)?)(?:\.part-(\d+))?\.mcap")
 _MADE_FOR_A_RUN = re.compile(r"\d{8}-\d{6}(-\d+)?")  # hil.telemetry.blackbox.run_directory
@@ -60,7 +62,7 @@ def _runs_in(folder: Path, *, inner: bool) -> Iterator[KeptRun]:
     except OSError as error:
         if not inner:
             raise
-        yield KeptRun(folder, "run", (), 0, _modified_ns(folder), "", error.strerror or str(error))
+        yield KeptRun(folder, "run", (), 0, _modified_ns(folder), "", words_of(error))
         return
     if inner and not parts and _MADE_FOR_A_RUN.fullmatch(folder.name):
         yield KeptRun(folder, "run", (), 0, _modified_ns(folder), "", "it holds no recording")

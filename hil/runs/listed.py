@@ -2,6 +2,7 @@
 
 import fnmatch
 import math
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,6 +11,8 @@ from hil.runs.facts import facts_of
 from hil.runs.index import Index
 from hil.runs.kept import KeptRun, kept_runs
 from hil.runs.note import Note, note_of
+
+GROWS_NS = 3_000_000_000  # a recorder writes every half second
 
 
 class ListedRun(NamedTuple):
@@ -27,6 +30,18 @@ class ListedRun(NamedTuple):
             return "", math.nan, ""
         rotary, error, name = min(axes)
         return name, -error, "rotary" if rotary else "linear"
+
+    @property
+    def growing(self) -> bool:
+        """Whether it is still recorded: its file has no end yet, and was written to just now."""
+        return bool(self.facts["missing"]) and time.time_ns() - self.kept.modified_ns < GROWS_NS
+
+    @property
+    def ended(self) -> str:
+        """How it ended, in words."""
+        if self.growing:
+            return "still recorded"
+        return f"{self.facts['state']} {self.facts['fault'].lower()}".strip() or "-"
 
     def _axes(self, axis: str, kind: str | None) -> list[tuple[str, dict[str, Any]]]:
         return [

@@ -208,11 +208,10 @@ def _row(run: ListedRun) -> tuple[str, ...]:
     if facts["outcome"] == "unread":
         return name, _one_line(f"not read: {facts['problem']}{_said(run)}")
     axis, error, kind = run.worst
-    ended = f"{facts['state']} {facts['fault'].lower()}".strip() or "-"
     accuracy = f"{axis} {metres(error, kind)}" if axis else "-"
-    lacking = "ticks missing" if facts["missing"] else ""
+    lacking = "ticks missing" if facts["missing"] and not run.growing else ""
     remark = ", ".join(part for part in (lacking, _remark(run.note)) if part)
-    cells = (name, facts["rig"], facts["law"], f"{facts['seconds']:.1f} s", ended, accuracy, remark)
+    cells = (name, facts["rig"], facts["law"], f"{facts['seconds']:.1f} s", run.ended, accuracy, remark)
     return tuple(map(_one_line, cells))
 
 

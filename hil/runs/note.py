@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from drivers.base.runtime import write_private
-from drivers.base.text_file import UnsuitableFileError, printable, read_bounded
+from drivers.base.text_file import UnsuitableFileError, printable, read_bounded, words_of
 from hil.runs.kept import KeptRun
 
 LONGEST = 2000  # characters of a note
@@ -40,7 +40,7 @@ def note_of(run: KeptRun) -> Note:
     except FileNotFoundError:
         return Note()
     except OSError as error:
-        return Note(problem=error.strerror or str(error))
+        return Note(problem=words_of(error))
     except (UnsuitableFileError, ValueError, KeyError, TypeError, RecursionError):
         return Note(problem="it is damaged")
     return Note(printable(text[:LONGEST]), tuple(sorted(set(labels)))[:MOST_LABELS])

@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from drivers.base.text_file import UnsuitableFileError, open_untrusted, printable
+from drivers.base.text_file import UnsuitableFileError, open_untrusted, printable, words_of
 from hil.cli.exit_status import EXIT_FILE
 from hil.runs.last import named_or_last
 from hil.runs.without_code import carried_sources, copy_without_code, files_of
@@ -93,7 +93,7 @@ def _recording(path: Path, *, with_code: bool) -> Item:
         said = str(error).removeprefix(f"{path}: ")
         return Item(path, said if with_code else f"{said}; --with-code takes it", with_code)
     except OSError as error:
-        return Item(path, error.strerror or str(error), False)
+        return Item(path, words_of(error), False)
     keys = ", ".join(sorted(found))
     files = "".join(f", the text of {name}" for name in files_of(path))
     said = f"a recording: rig{files}, ticks, commands with who gave them, events, this computer's kernel"

@@ -22,7 +22,7 @@ from can.io.generic import BinaryIOMessageReader
 from can.io.player import MESSAGE_READERS
 from can.io.sqlite import SqliteReader
 
-from drivers.base.text_file import open_untrusted
+from drivers.base.text_file import open_untrusted, words_of
 from drivers.base.toml_file import short
 from drivers.frame import EXTENDED_MASK, STANDARD_MASK
 from hil.runs.asc_log import read_asc
@@ -60,7 +60,7 @@ def read_trace(path: Path) -> Iterator[can.Message]:
                 count, at_s = count + 1, message.timestamp
                 yield message
     except (Exception, _TooLongError) as error:  # of many kinds: the readers are not ours, and neither is the file
-        words = getattr(error, "strerror", None) or short(str(error)) or type(error).__name__
+        words = short(words_of(error))
         place = f"after {count} frames, at {at_s:g} s: " if count else ""
         raise TraceError(f"{path}: {place}{words}") from None
 

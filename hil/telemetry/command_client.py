@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeVar
 from google.protobuf.message import DecodeError
 
 from drivers.base.runtime import make_private
+from drivers.base.text_file import words_of
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mapped_file import Closing
@@ -201,7 +202,7 @@ def local_client(directory: Path) -> CommandClient:
     except OSError as error:
         connection.close()
         nobody = error.errno in (errno.ENOENT, errno.ECONNREFUSED)
-        why = "no sidecar listens there" if nobody else error.strerror or error
+        why = "no sidecar listens there" if nobody else words_of(error)
         raise NoGatewayError(f"{path}: {why}; `hil sidecar {directory.name}` starts one, as this user") from None
     except NoGatewayError:
         connection.close()

@@ -3,7 +3,6 @@
 import math
 import os
 import time
-from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -15,12 +14,13 @@ from hil.live.ring import Batch, RingReader
 from hil.live.teller import print_events
 from hil.telemetry import events_pb2 as pb
 from hil.telemetry.event_codec import encode
+from hil.telemetry.kept_events import KeptEvents
 from hil.telemetry.publisher import Publisher
 from hil.telemetry.run_recorder import RunRecorder
 from hil.telemetry.telemetry_pb2 import CommandEntry
 
 _EARLIER = 512  # ticks at once
-KEPT = 2000  # events
+KEPT = 2000  # events, and as many of those that a busy machine has in every second
 TOPIC = "events"
 
 
@@ -31,8 +31,7 @@ class EventLog:
         self._rig, self._notes = rig, notes
         self._publisher = publisher
         self._sidecar = time.time_ns() << 8 & (1 << 63) - 1 | os.getpid() & 0xFF  # two never have the same
-        self._kept: deque[pb.Event] = deque(maxlen=KEPT)
-        self._told = 0
+        self._kept = KeptEvents(KEPT)
         self._tallies = Tallies()  # of the sidecar's own
         self.recorder: RunRecorder | None = None  # of the run that is followed
         self._errors = 0  # of the recorder, that were told
@@ -90,13 +89,12 @@ class EventLog:
         offset_ns = time.time_ns() - time.monotonic_ns()
         fresh: list[pb.Event] = []
         for event in events:
-            fresh.append(encode(event, self._told + len(fresh), offset_ns))
+            fresh.append(encode(event, self._kept.told + len(fresh), offset_ns))
             if event.kind is Kind.FAULT_LATCHED:
                 self.latched = fresh[-1]
             elif event.kind is Kind.FAULT_CLEARED and self.latched and event.name == self.latched.name:
                 self.latched = None
-        self._told += len(fresh)
-        self._kept.extend(fresh)
+        self._kept.add(fresh)
         return fresh
 
     def own(self, now_ns: int, event: Event) -> None:
@@ -110,7 +108,7 @@ class EventLog:
 
     def history(self) -> bytes:
         """For those who ask what happened before they came: all that is kept."""
-        return self._message(self._kept)
+        return self._message(self._kept.since())
 
     def turn(self, now_ns: int) -> None:
         """What a storm of the sidecar's own events has left to tell, once its second is over; a recorder that fails."""
@@ -123,8 +121,8 @@ class EventLog:
             self._tell_own(self._tallies.admit([event._replace(value=float(recorder.errors), limit=0.0)]))
 
     def _message(self, events: Iterable[pb.Event]) -> bytes:
-        dropped = self._told - len(self._kept)
-        return pb.Events(rig=self._rig, sidecar=self._sidecar, dropped=dropped, events=events).SerializeToString()
+        message = pb.Events(rig=self._rig, sidecar=self._sidecar, dropped=self._kept.dropped, events=events)
+        return message.SerializeToString()
 
 
 def own_event(kind: Kind, name: str, now_ns: int, cause: str = "", action: str = "") -> Event:

@@ -21,6 +21,7 @@ from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from drivers.base.text_file import words_of
 from drivers.frame import Frame
 from hil.cycle.record import RECORD
 from hil.cycle.tick import CommandKind, CycleResult, Tick
@@ -205,7 +206,7 @@ class Recorder:
         ticks."""
         self.errors += 1
         self.ok = False
-        self.problem = error.strerror or str(error)
+        self.problem = words_of(error)
         if self._file is None:  # it could not be made
             return
         with contextlib.suppress(OSError):  # what was buffered does not fit either

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from mcap.records import Attachment, Channel
 from mcap.records import Message as McapMessage
 
-from drivers.base.text_file import UnsuitableFileError, printable
+from drivers.base.text_file import UnsuitableFileError, printable, words_of
 from hil.rig.file import document_hash
 from hil.telemetry.mcap_items import BombError, McapItems
 
@@ -144,7 +144,7 @@ class Recording:
                 self.truncated |= items.damaged
                 yield item
         except OSError as error:
-            raise RecordingError(f"{path}: {error.strerror}") from None
+            raise RecordingError(f"{path}: {words_of(error)}") from None
         except (UnsuitableFileError, BombError) as error:
             raise RecordingError(f"{path}: not a recording of a control process: {error}") from None
         self.truncated |= items.damaged

@@ -12,7 +12,7 @@ from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from drivers.base.text_file import UnsuitableFileError
+from drivers.base.text_file import UnsuitableFileError, words_of
 from hil.cli.exit_status import EXIT_FILE
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.mcap_items import DAMAGED, BombError, McapItems
@@ -120,7 +120,7 @@ def recover(path: Path, target: Path, changed: Callable[[Any], Any] = _as_it_is)
     try:
         descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, MODE)
     except OSError as error:
-        raise RecordingError(f"{target}: {error.strerror}") from None
+        raise RecordingError(f"{target}: {words_of(error)}") from None
     try:
         with os.fdopen(descriptor, "wb") as file:
             writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
@@ -139,7 +139,7 @@ def recover(path: Path, target: Path, changed: Callable[[Any], Any] = _as_it_is)
     except BaseException as error:
         target.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise RecordingError(f"{error.filename or target}: {error.strerror}") from None
+            raise RecordingError(f"{error.filename or target}: {words_of(error)}") from None
         if isinstance(error, UnsuitableFileError | BombError):
             raise RecordingError(f"{path}: not a recording of a control process: {error}") from None
         raise

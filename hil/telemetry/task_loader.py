@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.base.runtime import write_private
+from drivers.base.text_file import words_of
 from hil.analysis.feasibility import violations
 from hil.analysis.task_figures import excursion_problems
 from hil.control.trajectories.injection import OverCells
@@ -165,4 +166,4 @@ def _refusing() -> Iterator[list[str]]:
     except RigError as error:
         reasons.append("; ".join(error.problems)[:_LONGEST])
     except (ValueError, ArithmeticError, zlib.error) as error:
-        reasons.append(f"{error}"[:_LONGEST])
+        reasons.append(words_of(error)[:_LONGEST])

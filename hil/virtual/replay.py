@@ -12,6 +12,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from drivers.base import plugins
+from drivers.base.text_file import words_of
 from drivers.frame import Frame
 from hil.cycle.command_desk import LOADS
 from hil.cycle.record import MAX_RECEIVED, MOTION_FIELDS, RECORD
@@ -165,7 +166,7 @@ def steps(recording: Recording) -> Iterator[codec.RecordedTick]:
                 for step in ticks:
                     _check(step)
             except (DecodeError, ValueError, TypeError, IndexError, RuntimeError) as error:
-                raise RecordingError(f"{recording.path}: its traffic makes no sense: {error}") from None
+                raise RecordingError(f"{recording.path}: its traffic makes no sense: {words_of(error)}") from None
             yield from (step for step in ticks if step.ring >= following)
             following = max([following, *(step.ring + 1 for step in ticks[-1:])])
 

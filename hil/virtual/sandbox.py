@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from drivers.base.text_file import printable
+from drivers.base.text_file import printable, words_of
 
 LARGEST_ANSWER = 2**28  # bytes
 
@@ -105,7 +105,7 @@ def _be_child(work: Callable[[Callable[[], None]], Any], writing: int, scratch: 
         try:
             text, status = json.dumps([work(confine)]), 0
         except Exception as error:
-            text = json.dumps({"error": str(error)})
+            text = json.dumps({"error": words_of(error)})
         with os.fdopen(answer, "w") as stream:
             stream.write(text)
     finally:

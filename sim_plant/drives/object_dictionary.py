@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from drivers.base.text_file import words_of
 from drivers.eds.data_types import LARGEST_DATA, DataType, Kind, Value
 from drivers.eds.reader import Eds, EdsError, read_eds
 from drivers.families.cia402.cia301 import EDS, Abort
@@ -73,7 +74,7 @@ def described(eds: Path, node_id: int) -> Described:
     except EdsError as error:
         raise ValueError(str(error)) from None
     except OSError as error:
-        raise ValueError(f"{eds}: {error.strerror or error}") from None
+        raise ValueError(f"{eds}: {words_of(error)}") from None
 
 
 @lru_cache(maxsize=64)

@@ -19,6 +19,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, ValidationError, model_validator
 
 from drivers.base.keys import Table
+from drivers.base.text_file import words_of
 from drivers.base.toml_file import TomlError, first_problems, read_toml, short, shown
 from drivers.protocols.base import DriveStatus
 from drivers.wire.faults import FOREVER_NS, FaultKind, WireFault
@@ -267,7 +268,7 @@ def load_scenario(path: Path) -> Scenario:
     try:
         return Scenario.model_validate(read_toml(path))
     except OSError as error:
-        raise ScenarioError([f"{path}: {error.strerror or error}"]) from None
+        raise ScenarioError([f"{path}: {words_of(error)}"]) from None
     except TomlError as error:
         raise ScenarioError([f"{path}: {error}"]) from None
     except ValidationError as error:

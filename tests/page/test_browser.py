@@ -256,6 +256,24 @@ def test_the_scope_pauses_without_losing_ticks_and_its_cursors_measure(tab: Brow
     assert tab.errors == []
 
 
+def test_what_comes_all_the_time_is_one_entry_and_hides_no_other(tab: Browser) -> None:
+    script = """(async () => {
+      const { Feed } = await import('/static/feed.js');
+      const feed = new Feed('r');
+      feed.close();
+      const event = (kind, name, wall, times) => ({ number: wall, kind, severity: 'INFO', name, axis: '', wall,
+        run: wall, value: 3, limit: 2, unit: 'ticks', measured: 'm', cause: 'c', action: 'none', times, line: 'l' });
+      const first = [event('TICK_LATE', 'deadline', 1, 1), event('ACCURACY_LOST', 'noise', 2, 1)];
+      feed.take(JSON.stringify({ events: first }));
+      for (let wall = 3; wall < 2003; wall++) {
+        feed.take(JSON.stringify({ events: [event('TICK_LATE', 'deadline', wall, 2)] }));
+      }
+      const { measured } = await import('/static/events.js');
+      return [...feed.events.map((e) => [e.name, e.times, e.since ?? null, e.wall]), measured(feed.events[0])];
+    })()"""
+    assert tab.run(script) == [["noise", 1, None, 2], ["deadline", 4001, 1, 2002], "m 3 ticks, limit 2 ticks"]
+
+
 def test_triggers_and_spectra_count_right(tab: Browser) -> None:
     script = """(async () => {
       const { crossing, spectrum } = await import('/static/analysis.js');

@@ -30,8 +30,7 @@ def turned(hub: Hub, told: Told, viewers: list[Viewer]) -> Callable[[int], None]
                 message = pb.Status(rig="paper", index=turn)
                 hub.sidecar._status, hub.sidecar._message = status_words(message), message
             if turn % EVENT == 0:
-                hub.sidecar._events.append(pb_events.Event(sequence=turn, name=f"event {turn}"))
-                hub.sidecar._told += 1
+                hub.sidecar._events.add([pb_events.Event(sequence=turn, name=f"event {turn}")])
             hub.turn()
             for viewer in viewers[:-1]:
                 while not viewer._waiting.empty():
@@ -49,7 +48,7 @@ def test_ten_minutes_of_turns_leave_nothing_in_memory(told: Told) -> None:
     hub.viewers.update(viewers)
     viewers[1].chosen = viewers[2].chosen = (0, 1)  # two have a scope
     play = turned(hub, told, viewers)
-    hub.sidecar._events.extend(pb_events.Event(sequence=n, name=f"event {n}") for n in range(KEPT))
+    hub.sidecar._events.add(pb_events.Event(sequence=n, name=f"event {n}") for n in range(KEPT))
     play(2 * EVENT)
     gc.collect()
     before = sys.getallocatedblocks()

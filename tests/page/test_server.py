@@ -1,6 +1,9 @@
 """The page as browsers meet it: what is refused, who may what, what is streamed, and that all of it is in the audit."""
 
+import asyncio
 import json
+import os
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -306,9 +309,22 @@ def test_margins_are_those_of_the_loop_and_are_computed_once_a_run(told: Told, p
 
 def test_a_law_of_users_is_not_run_for_its_margins() -> None:
     own = {"rig": {"law": {"name": "./mine.py:Mine"}, "estimator": {"name": "motion-filter"}}}
-    assert margins(own) == {
+    assert asyncio.run(margins(own)) == {
         "rows": [], "problem": "./mine.py:Mine is no law of hil, and the page does not run it: see hil check"
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("wait_s", "words"),
+    [(0.0, "too busy: they took more than 0 s"), (60.0, "cannot be computed: recorded by hil None")],
+)
+def test_margins_that_do_not_come_say_why_and_leave_no_process(wait_s: float, words: str) -> None:
+    unfit = {"rig": {"law": {"name": "pid"}, "estimator": {"name": "motion-filter"}}}
+    found = asyncio.run(margins(unfit, wait_s))
+    assert words in found["problem"]
+    assert found["rows"] == []
+    children = subprocess.run(["ps", "-o", "args=", "--ppid", str(os.getpid())], capture_output=True, text=True).stdout
+    assert "hil.page.margins" not in children
 
 
 def test_the_page_says_what_doctor_says_of_this_computer(paired: Paired) -> None:

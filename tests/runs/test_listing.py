@@ -44,6 +44,19 @@ def test_the_list_says_what_each_run_was_and_how_it_ended(runs: Path, recording:
     assert found["b"]["fault"].startswith("ENCODER")
 
 
+def test_a_run_that_is_still_recorded_has_no_end_and_lacks_nothing(runs: Path, recording: Path) -> None:
+    put(runs, "a", recording)
+    file = runs / "a" / "run.mcap"
+    file.write_bytes(file.read_bytes()[:-40])  # as it is while its recorder writes
+    assert "still recorded" in command().output
+    assert "ticks missing" not in command().output
+    long_ago = file.stat().st_mtime - 10.0
+    os.utime(file, (long_ago, long_ago))
+    assert "still recorded" not in command().output
+    assert "ACTIVE" in command().output
+    assert "ticks missing" in command().output
+
+
 @pytest.mark.parametrize(
     ("words", "names"),
     [

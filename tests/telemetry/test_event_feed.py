@@ -71,6 +71,20 @@ def test_what_is_kept_is_bounded_and_the_rest_counted(publisher: Publisher) -> N
     assert [event.sequence for event in message.events] == list(range(7, KEPT + 7))
 
 
+def test_what_a_busy_machine_has_in_every_second_pushes_nothing_else_out(
+    publisher: Publisher, session: zenoh.Session
+) -> None:
+    log = EventLog("rig", publisher)
+    tell(log, "a")
+    log.tell(own_event(Kind.TICK_LATE, "deadline", at) for at in range(KEPT + 7))
+    tell(log, "b")
+    feed = EventFeed(session, "hil/rig/events")
+    names = gathered(feed, publisher, log, lambda names: feed.answered)
+    assert (names.count("a"), names.count("b"), names.count("deadline")) == (1, 1, KEPT)
+    tell(log, "c")
+    assert gathered(feed, publisher, log, lambda names: bool(names)) == ["c"]
+
+
 def test_a_second_sidecar_is_not_taken_for_the_first(publisher: Publisher, session: zenoh.Session) -> None:
     feed = EventFeed(session, "hil/rig/events")
     first, second = EventLog("rig", publisher), EventLog("rig", publisher)

@@ -22,6 +22,7 @@ from pathlib import Path
 from struct import Struct
 from typing import Any
 
+from drivers.base.text_file import words_of
 from drivers.config import BusConfig, Wiring
 from drivers.eds.reader import Eds, EdsError, read_eds
 from drivers.families.cia402 import cia301
@@ -111,7 +112,7 @@ def _read(path: Path, node: int) -> Eds:
     except EdsError as error:
         raise LayoutError(f"bus.cia402.eds: {error}") from None
     except OSError as error:
-        raise LayoutError(f"bus.cia402.eds: {path}: {error.strerror or error}") from None
+        raise LayoutError(f"bus.cia402.eds: {path}: {words_of(error)}") from None
 
 
 class Cia402Host:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.base.text_file import words_of
 from hil.camera.contract import CameraError, Image, Pixels
 from hil.camera.sources.pace import Pace
 
@@ -18,7 +19,7 @@ class Folder:
         try:
             self._files = sorted(path for path in folder.iterdir() if path.suffix.lower() in KINDS)
         except OSError as error:
-            raise CameraError(f"{folder}: {error.strerror}") from None
+            raise CameraError(f"{folder}: {words_of(error)}") from None
         if not self._files:
             raise CameraError(f"{folder}: no image in it; expected files that end in {', '.join(KINDS)}")
         self._next = 0
@@ -45,4 +46,4 @@ def _pixels(path: Path) -> Pixels:
 
         return np.asarray(imread(path))
     except Exception as error:  # each format's library fails in its own way
-        raise CameraError(f"{path}: cannot be read as an image: {error}") from None
+        raise CameraError(f"{path}: cannot be read as an image: {words_of(error)}") from None

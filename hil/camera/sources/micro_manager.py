@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.base.text_file import words_of
 from hil.camera.contract import CameraError, Image
 from hil.rig.extras import install_command
 
@@ -34,7 +35,7 @@ class MicroManager:
                 core.loadSystemConfiguration(configuration)
             core.startContinuousSequenceAcquisition(0.0)
         except Exception as error:  # of its device adapters, each fails in its own way
-            raise CameraError(f"{self._name}: {error}") from error
+            raise CameraError(f"{self._name}: {words_of(error)}") from error
         self._last = -1
 
     def read(self) -> Image | None:
@@ -55,7 +56,7 @@ class MicroManager:
                 return None
             pixels, tags = core.getLastImageAndMD()
         except Exception as error:
-            raise CameraError(f"{self._name}: {error}") from error
+            raise CameraError(f"{self._name}: {words_of(error)}") from error
         arrived_ns = time.monotonic_ns()
         elapsed, number = tags.get("ElapsedTime-ms"), tags.get("ImageNumber")
         return Image(

@@ -14,10 +14,10 @@ export const measured = (event) => (event.value === null ? "" : `${event.measure
   (event.limit === null ? "" : `, limit ${short(event.limit, event.unit)}`));
 
 export function eventNode(event, feed, { tell, may }, active = false) {
-  const times = event.times > 1 ? ` (${event.times} times)` : "";
+  const times = event.times > 1 ? ` (${event.times} times${event.since ? ` since ${clock(event.since)}` : ""})` : "";
   const node = el("article", { className: `event ${event.severity}` },
     el("time", {}, clock(event.wall)), el("strong", { title: event.line }, headline(event) + times));
-  node.append(el("p", { className: "quiet" }, [`at ${event.run.toFixed(3)} s of the run`, measured(event)].filter(Boolean).join(", ")));
+  node.append(el("p", { className: "quiet" }, [`${event.since ? "the last at" : "at"} ${event.run.toFixed(3)} s of the run`, measured(event)].filter(Boolean).join(", ")));
   if (event.cause) node.append(el("p", {}, `Cause: ${event.cause}`));
   if (event.action && event.action !== "none") node.append(el("p", {}, `Next: ${event.action}`));
   if (active && event.button) {

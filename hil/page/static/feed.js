@@ -4,6 +4,8 @@ import { History, Ticks } from "./store.js";
 
 const HEADER = 12;
 const AGAIN_MS = 500;
+const KEPT = 500;
+export const ALL_THE_TIME = ["TICK_LATE", "TICKS_LOST"]; // on a busy machine in every second
 export const STALE_S = 0.5;
 const FATES = ["is not running", "", "ended", "was killed"];
 
@@ -66,9 +68,18 @@ export class Feed extends EventTarget {
       this.dispatchEvent(new Event("cells"));
     }
     if (message.events) {
-      this.events = this.events.concat(message.events).slice(-500);
+      for (const event of message.events) this.keep(event);
+      this.events = this.events.slice(-KEPT);
       this.dispatchEvent(new Event("events"));
     }
+  }
+
+  /** What comes all the time is one entry, the newest, with how often it came: it hides no other. */
+  keep(event) {
+    const same = (other) => ["kind", "name", "axis", "cause"].every((key) => other[key] === event[key]);
+    const at = ALL_THE_TIME.includes(event.kind) ? this.events.findLastIndex(same) : -1;
+    const [old] = at < 0 ? [] : this.events.splice(at, 1);
+    this.events.push(old ? { ...event, times: old.times + event.times, since: old.since ?? old.wall } : event);
   }
 
   takeNumbers(numbers) {

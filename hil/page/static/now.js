@@ -1,8 +1,10 @@
 // Now: each axis with what it is held to.
 
 import { el, palette, say } from "./dom.js";
+import { headline } from "./events.js";
+import { ALL_THE_TIME } from "./feed.js";
 import { Plot, roomy, span } from "./plot.js";
-import { exists, place, short } from "./units.js";
+import { clock, exists, place, short } from "./units.js";
 
 const SHOWN_S = 30;
 
@@ -74,12 +76,17 @@ export class Now {
     this.feed = feed;
     this.cards = feed.run.axes.map((axis, n) => new AxisCard(feed, axis, n));
     this.notes = el("div", { className: "quiet" });
-    main.append(el("div", { className: "cards" }, ...this.cards.map((card) => card.node)), this.notes);
+    this.warned = el("a", { href: "#Events", className: "warned", hidden: true });
+    main.append(this.warned, el("div", { className: "cards" }, ...this.cards.map((card) => card.node)), this.notes);
   }
 
   look() {
-    const { status, run } = this.feed;
+    const { feed } = this, { status, run } = feed;
     for (const card of this.cards) card.look();
+    const grave = (event) => !["NOTICE", "INFO"].includes(event.severity) && !ALL_THE_TIME.includes(event.kind);
+    const last = feed.events.findLast(grave), told = status.latched?.number === last?.number && feed.fault;
+    this.warned.hidden = !last || Boolean(told);
+    if (last) say(this.warned, `${clock(last.wall)} ${headline(last)}: cause and next step in Events`);
     const late = status.late ? `late p99 ${short(status.late[1], "s")}, max ${short(status.late[2], "s")}` : "";
     const notes = [
       run.law && `law ${run.law}, ${run.rate} Hz`, late, status.missed && `${status.missed[0] + status.missed[1]} ticks missed`,

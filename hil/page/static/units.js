@@ -2,6 +2,8 @@
 
 const PREFIXES = [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"], [1e-12, "p"]];
 
+const COUNTED = ["ticks", "frames"]; // whole numbers, without a prefix
+
 export const exists = (value) => value !== null && value !== undefined && Number.isFinite(value);
 
 /** Scale and prefixed unit for values of that size. */
@@ -14,6 +16,7 @@ export function scaleOf(size, unit) {
 /** A small quantity: three digits, sign, prefix. */
 export function short(value, unit, signed = false) {
   if (!exists(value)) return "-";
+  if (COUNTED.includes(unit)) return `${Number(value.toPrecision(4))} ${unit}`;
   if (value === 0) return `0 ${unit}`;
   const found = scaleOf(value, unit);
   const text = (value / found.scale).toPrecision(3);

@@ -14,6 +14,7 @@ from math import nan
 from pathlib import Path
 from typing import Any, Final, get_type_hints
 
+from drivers.base.text_file import words_of
 from hil.control.motion.injection.verdict import CellResult, Phase, Verdict
 from hil.rig.schema import RigError
 from hil.rig.task_file import TaskFileError, file_bytes
@@ -63,7 +64,7 @@ class Sheet(Follower):
             fresh.replace(path)
             self._file = path.open("r+b")
         except OSError as error:
-            raise RigError([f"{path}: {error.strerror or error}"]) from None
+            raise RigError([f"{path}: {words_of(error)}"]) from None
         self._end = self._file.seek(0, os.SEEK_END)  # of the rows that are final
         self._begun = 0  # number of the cell that has a row without a verdict
 
@@ -97,7 +98,7 @@ class Sheet(Follower):
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
-            raise RigError([f"{self._path}: {error.strerror or error}"]) from None
+            raise RigError([f"{self._path}: {words_of(error)}"]) from None
 
     def close(self) -> None:
         """What is in it stays."""
