@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from drivers.protocols.base import Reject
 from hil.cycle.faults.row import RESET
 from hil.events.axis_model import AxisModel
-from hil.events.motion_causes import Cause, Motion, why_it_left
+from hil.events.motion_causes import Cause, Motion, ringing, why_it_left
+from hil.events.ringing import LONGEST
 from hil.rig.schema import MAX_AXES
 
-HELD: Final = 64  # ticks looked back on
+HELD: Final = 64  # ticks looked back on; of a swing LONGEST
 _LATE: Final = 1  # ticks for which answers of all axes may be late before the bus is in question
 _FIELDS: Final = (
     "index", "rejects", "age_ticks", "position", "setpoint_position", "setpoint_velocity", "following_error", "force",
@@ -65,19 +66,19 @@ class History:
     def end(self) -> None:
         """Keep the last of them for those that come."""
         if self._now is not None:
-            self._kept = {name: self._column(name, len(self._now))[-HELD:].copy() for name in _FIELDS}
+            self._kept = {name: self._column(name, len(self._now), LONGEST).copy() for name in _FIELDS}
         self._now = None
 
-    def _column(self, name: str, end: int) -> NDArray[Any]:
-        """The values of a field before place `end`, HELD of them at least where there are."""
+    def _column(self, name: str, end: int, ticks: int) -> NDArray[Any]:
+        """The last `ticks` values of a field before place `end`, as far as they are there."""
         assert self._now is not None
-        found: NDArray[Any] = self._now[name][max(0, end - HELD) : end]
-        if end < HELD and self._kept:
-            found = np.concatenate((self._kept[name], found))[-HELD:]
+        found: NDArray[Any] = self._now[name][max(0, end - ticks) : end]
+        if end < ticks and self._kept:
+            found = np.concatenate((self._kept[name], found))[-ticks:]
         return found
 
-    def _last(self, name: str) -> NDArray[Any]:
-        return self._column(name, self._place + 1)
+    def _last(self, name: str, ticks: int = HELD) -> NDArray[Any]:
+        return self._column(name, self._place + 1, ticks)
 
     def silence(self) -> Cause | None:
         """Why axes do not answer in this tick; None where nothing more is known than that."""
@@ -119,7 +120,16 @@ class History:
 
     def why_it_left(self, axis: int) -> Cause | None:
         """Why the axis left its set-point."""
+        motion = self._motion(axis, HELD)
+        return self.ringing(axis) or why_it_left(motion, self._model(axis), self._period_s, axis)
+
+    def ringing(self, axis: int) -> Cause | None:
+        """Whether the axis swings to and fro by itself, and at what frequency."""
+        return ringing(self._motion(axis, LONGEST + 1), self._model(axis), self._period_s, axis)
+
+    def _motion(self, axis: int, ticks: int) -> Motion:
         names = ("position", "setpoint_position", "setpoint_velocity", "following_error", "force")
-        motion = Motion(*(self._last(name)[:, axis] for name in names))
-        model = self._models[axis] if axis < len(self._models) else None
-        return why_it_left(motion, model, self._period_s, axis)
+        return Motion(*(self._last(name, ticks)[:, axis] for name in names))
+
+    def _model(self, axis: int) -> AxisModel | None:
+        return self._models[axis] if axis < len(self._models) else None

@@ -1,4 +1,4 @@
-"""Why an axis left its set-point, by the ticks before: an encoder that stepped or stands still, an outside force."""
+"""Why an axis left its set-point, by the ticks before: it rings, its encoder stepped or stands still, it was pushed."""
 
 from typing import Final, NamedTuple
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from hil.cycle.faults.row import RESET
 from hil.events.axis_model import AxisModel, Floats, steps
+from hil.events.ringing import ringing_hz
 
 FROZEN: Final = 20  # ticks of one and the same count, while the setpoint moves
 _HALTED: Final = 4  # ticks of one count after one that moved by _FAST counts: no axis stops within a tick
@@ -16,6 +17,7 @@ _BEGUN: Final = 0.05  # of the error at the end, where the deviation began
 _OUTSIDE: Final = 1.5  # times the dry friction, that no model is off by
 _UNKNOWN: Final = 0.1  # of the model's gravity
 _OFF: Final = 0.25  # of the force applied, that mass and force constant may be off by
+_DELAYED: Final = 2.0  # times too much or too little, that a growing force seems to do, as it comes ticks later
 _WEAK: Final = 1.1  # times gravity, at most what a weak drive lets go
 
 
@@ -47,6 +49,16 @@ def why_it_left(motion: Motion, model: AxisModel | None, period_s: float, axis: 
     return _pushed(motion, known, period_s, axis) if known is not None else None
 
 
+def ringing(motion: Motion, model: AxisModel | None, period_s: float, axis: int) -> Cause | None:
+    """None where the axis does not swing to and fro."""
+    resolution = model.resolution if model else 0.0
+    frequency = ringing_hz(motion.error, motion.force, motion.setpoint, resolution, period_s)
+    if frequency is None:
+        return None
+    why = "a resonance that the model does not have, gains too high, or something shakes the stage"
+    return Cause(f"rings at {frequency:.0f} Hz: {why}", f"hil check, lower the gains, {RESET}", axis)
+
+
 def _jumped(motion: Motion, model: AxisModel, period_s: float, axis: int) -> Cause | None:
     found = steps(model, period_s, motion.position, motion.force, motion.velocity)
     if not found.beyond:
@@ -76,6 +88,31 @@ def _frozen(motion: Motion, model: AxisModel | None, axis: int) -> Cause | None:
     return Cause(text, action, axis)
 
 
+def _against(motion: Motion, model: AxisModel, first: int, period_s: float, axis: int) -> Cause | None:
+    """Whether the way since tick `first` is that of the force asked for, turned round, and not that of a steady push
+    with that force against it.
+    """
+    acting = np.concatenate((motion.force[first : first + 1], motion.force[first:-1]))  # of the tick before
+    dry = model.dry * np.sign(motion.error[-1] - motion.error[first])
+    ticks = np.arange(len(acting))
+    line = np.stack((np.ones(len(ticks)), ticks))
+    own = np.cumsum(np.cumsum(acting)) * period_s**2 / model.mass
+    fallen = 0.5 * (model.gravity - dry) / model.mass * (ticks * period_s) ** 2
+    position = motion.position[first:]
+    turned, misses = _fit(np.vstack((line, fallen - own)), position)
+    _, of_push = _fit(np.vstack((line, ticks**2)), position - own)
+    if not 1.0 / _DELAYED <= turned <= _DELAYED or misses > 0.5 * of_push or misses > _BEGUN * float(np.ptp(position)):
+        return None
+    text = "the axis goes against the force asked for: wrong direction of axis or drive"
+    return Cause(text, f"check axes.AXIS.direction and the drive's own sense, {RESET}", axis)
+
+
+def _fit(rows: Floats, values: Floats) -> tuple[float, float]:
+    """(factor of the last of `rows`, RMS of what is left) by least squares; rows: (k, n), values: (n,)."""
+    found, *_ = np.linalg.lstsq(rows.T, values, rcond=None)
+    return float(found[-1]), float(np.sqrt(np.mean((values - found @ rows) ** 2)))
+
+
 def _pushed(motion: Motion, model: AxisModel, period_s: float, axis: int) -> Cause | None:
     """Whether the axis went where nothing but an outside force takes it: it gains speed that way, against friction."""
     error = motion.error
@@ -83,6 +120,8 @@ def _pushed(motion: Motion, model: AxisModel, period_s: float, axis: int) -> Cau
     first = int(quiet[-1]) if len(quiet) else 0
     if len(error) - first < _LEAST:
         return None
+    if (cause := _against(motion, model, first, period_s, axis)) is not None:
+        return cause
     seconds = np.arange(len(error) - first) * period_s
     deviation = motion.position[first:]
     curve, slope, _ = np.polyfit(seconds, deviation, 2)

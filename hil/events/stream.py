@@ -341,6 +341,8 @@ class EventStream:
         """What the ticks before say of it; None where the fault's row says all that is known."""
         if fault in _OF_ANSWERS:
             return self._history.silence()
+        if axis != NO_AXIS and fault is Fault.OSCILLATION:
+            return self._history.ringing(axis)
         return self._history.why_it_left(axis) if fault in _OF_MOTION and axis != NO_AXIS else None
 
     def _accuracy(self, record: np.void, loss: Loss) -> Event:

@@ -147,6 +147,20 @@ def test_an_axis_that_gains_speed_against_its_force_was_pushed() -> None:
     assert leaving(0.5 * 2.0 * seconds**2, force=1.8).cause == ROWS[Fault.FOLLOWING_ERROR].cause, "its own force did"
 
 
+def test_a_force_that_does_the_opposite_of_what_is_asked_for_is_no_push() -> None:
+    ticks = np.arange(16)
+    growing = 5.0 * np.exp(0.2 * (ticks - 15))  # N
+    records = following_error(0)
+    records["setpoint_position"][:, 1] = records["position"][:, 1] = 0.0
+    shown = slice(LATCHED_AT - 15, LATCHED_AT + 1)
+    records["force"][shown, 1] = growing
+    way = np.cumsum(np.cumsum(np.concatenate((growing[:1], growing[:-1])))) * 1e-6 / MODEL.mass
+    for sign, cause in ((-1.0, "the axis goes against the force asked for"), (1.0, ROWS[Fault.FOLLOWING_ERROR].cause)):
+        records["position"][shown, 1] = sign * way
+        records["following_error"] = records["position"]
+        assert one(told(records), Kind.FAULT_LATCHED, "following_error").cause.startswith(cause)
+
+
 def test_an_axis_that_sinks_by_no_more_than_its_weight_has_a_weak_drive_or_is_pulled() -> None:
     records = following_error(0)
     seconds = np.arange(12) * 1e-3

@@ -43,8 +43,8 @@ FILES = {
         "systemd miss_ledger pacing goal_link ring mailbox goal_page mapped_file runtime_paths stop_page file_lock"
     ),
     "events": (
-        "sources marks notes stream refusals accuracy baseline forces windows followed causes motion_causes axis_model "
-        "storm event table"
+        "sources marks notes stream refusals accuracy baseline forces windows followed causes motion_causes ringing "
+        "axis_model storm event table"
     ),
     "cycle": (
         "step supervisor guards withdrawal homing press_watch axis_homing goal_desk decided_motion commissioning axes "
