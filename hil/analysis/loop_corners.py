@@ -177,7 +177,26 @@ class CornerTrial(Pulsed):
             [_dynamics(corner, axis) or AxisDynamics(axis.model.mass) for axis in axes] for corner in self._corners
         ]
         each = rows // self.copies
-        return FlexiblePlant([row for row in of_corners for _ in range(each)], self._rig.period_ns * 1e-9)
+        return FlexiblePlant([row for row in of_corners for _ in range(each)], self.period_s)
+
+    @property
+    def period_s(self) -> float:
+        """Of the loop."""
+        return self._rig.period_ns * 1e-9
+
+    def plain(self) -> list[tuple[str, bool, AxisDynamics, Array]]:
+        """(axis, at rest, what it is, answer (ticks,)) of stable loops on the nominal model and, where it speaks of it,
+        at rest in the middle of the presliding; after the trial.
+        """
+        found = []
+        for at, corner in enumerate(self._corners):
+            if corner not in (Corner(), Corner(stuck=0.5)):
+                continue
+            for i, (name, axis) in enumerate(self._rig.axes.items()):
+                dynamics, motion = _dynamics(corner, axis), self.motion[:, at, i]
+                if dynamics is not None and is_stable(motion, realise_poles(motion[:REALISED])):
+                    found.append((name, corner.stuck is not None, dynamics, self.answer[:, at, i]))
+        return found
 
     def findings(self) -> list[CornerFinding]:
         """What became of every axis in every corner; after the trial."""

@@ -17,6 +17,7 @@ from drivers.frame import EXTENDED
 from hil.analysis.feasibility import start_notes, task_problems
 from hil.analysis.learning_check import check_learning
 from hil.analysis.loop_corners import CornerTrial, corner_problems
+from hil.analysis.second_resonance import second_notes, second_resonances
 from hil.analysis.stability import StabilityReport, check_stability
 from hil.analysis.task_figures import excursion_notes, excursion_problems, excursions_json, task_figures
 from hil.cli.exit_status import EXIT_CONFIG
@@ -83,6 +84,7 @@ def check_rig(
         trial = CornerTrial(rig)
         stability = check_stability(rig, lowest_rate=True, beside=[trial])
         corners = [*trial.findings(), *measured_findings(rig, measured, frd)] if stability.stable else []
+        second = second_resonances(trial) if stability.stable else []
         learning = check_learning(rig)
         sensor = check_sensor(rig)
     except ValueError as error:
@@ -92,6 +94,7 @@ def check_rig(
     for note in [
         *measured_notes(rig),
         *(f"less margin than is good: {note}; next: hil tune {rig_file}" for note in corner_notes(corners)),
+        *second_notes(second),
     ]:
         console.print(note, soft_wrap=True, markup=False)
     for finding in learning:
@@ -111,6 +114,7 @@ def check_rig(
     document["warnings"] = warnings
     document["task"] = figures.as_json() | {"excursions": excursions_json(rig)}
     document["corners"] = [corner.as_json() for corner in corners]
+    document["second_resonance"] = [finding.as_json() for finding in second]
     document["sensor"] = [told._asdict() for told in sensor]
     document["learning"] = [finding.as_json() for finding in learning]
     if json_path:
