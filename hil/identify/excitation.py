@@ -122,10 +122,8 @@ class Excitation(Law):
         if before or not self._shape:
             step = stiffness * self._integral * error
             self._held = min(max(self._held + step, -0.5 * self._limit), 0.5 * self._limit)
-        back = stiffness * error + damping * rate
-        if not before or not g["hold_hz"]:
-            back = self._filtered(back)
         along = self._mass * inputs.mean_acceleration + self._coulomb * self._friction(inputs.mean_velocity)
+        back = self._filtered(stiffness * error + damping * rate)
         return back + self._held + self._gravity + along + self._added(seconds, inputs.position)
 
     def _friction(self, speed: Any) -> Any:

@@ -27,7 +27,7 @@ STRETCH_SPEEDS = 6
 FIRST_PUSH = 0.002  # of limits.force
 EXCURSION = {"linear": 20e-6, "rotary": 1e-4}  # m, rad: of a push
 PUSH_HZ, PUSH_S = 4.0, 9.0
-HOLD_HZ = 25.0  # of the loop until the weight is found: gravity may be 30 % wrong
+HOLD_HZ = 20.0  # of the loop until a weight is found: gravity may be 30 % wrong
 LOOP_HZ, LOOP_CYCLES = 2.5, 24
 LOOPS = (1.3, 0.1)  # of Coulomb friction, first and last: the first leaves the bristle in a known state
 LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine, at most
@@ -75,8 +75,9 @@ def _gains(axis: AxisConfig, known: Known, **others: float) -> dict[str, float]:
 def push(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     """Hold, then triangles of force that grow until the axis moves by 20 um."""
     begin = approach_s + 1.5
+    hold_hz = HOLD_HZ if axis.model.gravity else 0.0
     gains = _gains(axis, known, shape=GROWING, amplitude=FIRST_PUSH * axis.limits.force, frequency_hz=PUSH_HZ,
-                   from_s=begin, until_s=begin + PUSH_S, hold_hz=HOLD_HZ)  # fmt: skip
+                   from_s=begin, until_s=begin + PUSH_S, hold_hz=hold_hz)  # fmt: skip
     return Plan(_held(axis, 1.5 + PUSH_S + REST_S), gains)
 
 

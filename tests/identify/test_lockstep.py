@@ -49,6 +49,22 @@ def test_a_push_finds_the_friction_of_a_stage_that_the_rig_file_does_not_know() 
     assert found.found["push_coulomb"].holds(rigs.COULOMB)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("axis", "gravity"), [("x", 0.0), ("z", -1.75)])
+def test_an_axis_holds_still_before_its_push_although_it_carries_a_resonance(axis: str, gravity: float) -> None:
+    """The shipped microscope: 200 Hz, damped by 0.02. A quick hold without a filter rang there and ended in SPEED."""
+    rig = load_rig(by_name("rigs", Path("microscope")), [f"axes.{axis}.model.gravity={gravity}"])
+    own = rig.axes[axis]
+    plan = EXPERIMENTS["push"](own, Known(own.model.mass, 0.0, own.model.coulomb), 0.5)
+    document, _ = rig_document(rig, axis, Plan(plan.positions[: round(1.6 / ROW_S)], plan.gains), 0.5)
+    run = simulate(Rig.build(document, by_name("rigs", Path("microscope")).parent), 2.2)
+    assert run.summary()["faults"] == []
+    error = run.columns["following_error"][:, rig.axis_names.index(axis)]
+    held = error[np.isfinite(error)]
+    assert np.abs(held).max() < 0.6 * own.limits.following_error, "also with a weight 30 % off"
+    assert np.ptp(np.diff(held[-200:])) < 2e-6, "it does not ring"
+
+
 def test_an_ordinary_run_tells_mass_and_friction() -> None:
     task = {"kind": "point_to_point", "axes": ["x"], "target": [2e-3], "move_s": 0.15, "dwell_s": 0.1}
     rig = rigs.one_axis(task=task, law={"name": "pid"})
