@@ -91,7 +91,9 @@ ROOMS = {
          "tests/telemetry/test_commands.py", "tests/telemetry/test_sidecar.py"),
     ),
     "bus": Room(
-        ("drivers/bus",), ("tests/drivers/bus", "tests/drivers/base/test_runtime.py", "tests/drivers/test_native.py")
+        ("drivers/bus",),
+        ("tests/drivers/bus", "tests/drivers/base/test_runtime.py", "tests/drivers/base/test_text_file.py",
+         "tests/drivers/test_native.py"),
     ),
     "layouts": Room(
         ("drivers/protocols", "drivers/families", "drivers/frame.py", "drivers/frame_length.py"),
