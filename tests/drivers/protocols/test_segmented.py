@@ -187,6 +187,7 @@ def fake(n_axes: int, **different: Any) -> Any:
         "checksum": False,
         "states": True,
         "causes": False,
+        "resets": True,
         "tells": 0,
         "stamp_wraps_ns": [],
         "fd": False,
@@ -232,7 +233,7 @@ def test_what_is_told_by_axis_or_segment_is_told_in_their_order_and_of_what_is_o
     assert not SegmentedHost(parts(fake(1), fake(1))).fd
 
 
-@pytest.mark.parametrize("what", ["checksum", "states", "causes"])
+@pytest.mark.parametrize("what", ["checksum", "states", "causes", "resets"])
 @pytest.mark.parametrize("have", [(True, True), (True, False), (False, True), (False, False)])
 def test_what_drives_tell_is_what_those_of_every_segment_tell(what: str, have: tuple[bool, bool]) -> None:
     host = SegmentedHost(parts(*(fake(1, **{what: has}) for has in have)))
