@@ -30,6 +30,15 @@ def make_inbox() -> Inbox:
     return Inbox(host_protocol(BUS, 2, [5.0, 5.0], HERE), leak_ticks=100)
 
 
+def test_a_new_inbox_has_heard_nothing_and_accuses_nobody() -> None:
+    inbox = make_inbox()
+    assert (inbox.samples, inbox.fresh, inbox.heard) == ([None] * 2, [False] * 2, [False] * 2)
+    assert (inbox.received_ns, inbox.age) == ([0, 0], [0, 0])
+    assert (inbox.suspect_axis, inbox.foreign_id, inbox.differ_axis) == (-1, -1, -1)
+    assert (inbox.bad_frames, inbox.late, inbox.lost, inbox.useless_now) == (0, 0, 0, 0)
+    assert inbox.rejects == [0] * len(Reject)
+
+
 def test_answers_to_the_latest_command_are_fresh_and_have_age_zero() -> None:
     inbox = make_inbox()
     inbox.collect([answer(0, 5, 11), answer(1, 5, 22)], sent_sequence=5)

@@ -1,6 +1,7 @@
 """The inbox's fast path against the rules written down plainly: same verdicts on every history, wraps included."""
 
 from collections.abc import Sequence
+from struct import pack
 
 import pytest
 from hypothesis import example, given
@@ -13,6 +14,7 @@ from hil.cycle.inbox import SUSPICIOUS, Inbox
 AXES = 2
 LEAK_TICKS = 7
 SENDERS = 2  # identifiers that speak in turn
+CAME_NS = 5_000  # when a tick's first frame came; the next ones a nanosecond later each
 
 
 class AnyLayout:
@@ -22,17 +24,30 @@ class AnyLayout:
 
     def __init__(self, modulus: int) -> None:
         self.sequence_modulus = modulus
-        self.outcomes: list[Sample | Reject] = []
+        self.outcomes: list[Sample | Reject | tuple[Sample, ...]] = []
 
     def messages(self, period_ns: int) -> list[Message]:
         return []
 
-    def decode(self, frame: Frame) -> Sample | Reject:
+    def decode(self, frame: Frame) -> Sample | Reject | tuple[Sample, ...]:
         return self.outcomes[frame.data[0]]
 
-    def frames(self, outcomes: Sequence[Sample | Reject]) -> list[Frame]:
+    def frames(self, outcomes: Sequence[Sample | Reject | tuple[Sample, ...]]) -> list[Frame]:
         self.outcomes = list(outcomes)
-        return [Frame(number % SENDERS, bytes([number])) for number in range(len(outcomes))]
+        return [Frame(number % SENDERS, bytes([number]), 0, CAME_NS + number) for number in range(len(outcomes))]
+
+
+class ReadAtOnce(AnyLayout):
+    """One whose answers of a tick are read at once, as in C, where nothing else came."""
+
+    def answers(self, frames: Sequence[Frame]) -> bytes | None:
+        read = b""
+        for frame in frames:
+            one = self.decode(frame)
+            if not isinstance(one, Sample):
+                return None
+            read += pack("<6q", one.axis, one.position, one.status, one.sequence, one.stamp_ns, frame.timestamp_ns)
+        return read
 
 
 class PlainInbox:
@@ -46,6 +61,7 @@ class PlainInbox:
         self.samples: list[Sample | None] = [None] * AXES
         self.heard, self.age = [False] * AXES, [0] * AXES
         self.rejects = [0] * len(Reject)
+        self.received = [0] * AXES
         self.kept = self.bad = self.late = self.lost = self.ticks = 0
 
     def forget(self) -> None:
@@ -53,9 +69,11 @@ class PlainInbox:
         self.kept = 0
 
     def collect(self, outcomes: Sequence[Sample | Reject], sent: int) -> None:
-        self.fresh = [False] * AXES
+        self.fresh, self.differ = [False] * AXES, -1
         useless, served = 0, set()
         for number, outcome in enumerate(outcomes):
+            if isinstance(outcome, Sample):
+                self.received[outcome.axis] = CAME_NS + number
             reason = self.verdict(outcome, sent) if isinstance(outcome, Sample) else outcome
             if reason is not None:
                 self.rejects[reason] += 1
@@ -64,6 +82,7 @@ class PlainInbox:
                 useless += reason is not Reject.OWN_ECHO
                 self.bad += reason in SUSPICIOUS
                 self.kept += isinstance(outcome, Sample) and reason is Reject.STALE and self.heard[outcome.axis]
+                self.kept += reason is Reject.INVALID_VALUE
         self.useless = useless - len(served)
         if sent < 0:
             return
@@ -85,7 +104,7 @@ class PlainInbox:
                 if ahead == 0 or (ahead > half and not due):
                     taken = self.samples[axis]
                     if not ahead and taken and taken.sequence == sample.sequence and taken != sample:
-                        self.fresh[axis] = False
+                        self.fresh[axis], self.differ = False, axis
                     return Reject.STALE if ahead else Reject.DUPLICATE
             behind = (sent - sample.sequence) % self.modulus
             if sent < 0 or behind > half:
@@ -104,7 +123,7 @@ class PlainInbox:
 distances = st.one_of(st.sampled_from([0, 0, 0, 1, 2, -1]), st.integers(-300, 300))
 answers = st.tuples(st.integers(0, AXES - 1), distances)
 others = st.sampled_from(
-    [Reject.BAD_CHECKSUM, Reject.UNKNOWN_ID, Reject.SERVICE, Reject.SERVICE, Reject.OWN_ECHO, Reject.WRONG_LENGTH]
+    [Reject.BAD_CHECKSUM, Reject.UNKNOWN_ID, Reject.SERVICE, Reject.SERVICE, Reject.OWN_ECHO, Reject.INVALID_VALUE]
 )
 one_tick = st.tuples(
     st.lists(answers | others, max_size=5),
@@ -113,8 +132,9 @@ one_tick = st.tuples(
 )
 
 
-def play(modulus: int, first: int, ticks: list[tuple[list[tuple[int, int] | Reject], int, bool]]) -> None:
-    layout, plain = AnyLayout(modulus), PlainInbox(modulus)
+def play(layout: AnyLayout, first: int, ticks: list[tuple[list[tuple[int, int] | Reject], int, bool]]) -> None:
+    modulus = layout.sequence_modulus
+    plain = PlainInbox(modulus)
     inbox, sent = Inbox(layout, LEAK_TICKS), first
     for number, (brought, more, reset) in enumerate(ticks):
         if reset:
@@ -135,7 +155,8 @@ def play(modulus: int, first: int, ticks: list[tuple[list[tuple[int, int] | Reje
         assert (inbox.age, inbox.heard) == (plain.age, plain.heard)
         assert inbox.rejects == plain.rejects
         assert (inbox.bad_frames, inbox.late, inbox.lost) == (plain.bad, plain.late, plain.lost)
-        assert inbox.useless_now == plain.useless
+        assert (inbox.useless_now, inbox.differ_axis) == (plain.useless, plain.differ)
+        assert inbox.received_ns == plain.received
         assert inbox.oldest() == max(plain.age)
         sent += more
 
@@ -148,12 +169,20 @@ def play(modulus: int, first: int, ticks: list[tuple[list[tuple[int, int] | Reje
 @example(16, 5, [([(0, 0)], 0, False), ([(0, 0)], 1, True)])
 @example(16, 0, [([(1, 8)], 1, False), ([(1, 0)], 1, False)])
 @example(16, 0, [([(0, 0)], 1, False), *[([], 1, False)] * 9, ([(0, 0)], 1, False)])
+@example(16, -1, [([(0, -3)], 1, False)])
+@example(16, 0, [([Reject.BAD_CHECKSUM], 1, False), *[([], 1, False)] * LEAK_TICKS])
+@example(16, 0, [([Reject.INVALID_VALUE], 1, False), *[([], 1, False)] * LEAK_TICKS])
+@example(16, -1, [([(0, 0)], 1, False), *[([], 1, False)] * LEAK_TICKS])
+@example(16, 0, [([(0, 0)], 1, False), *[([], 1, False)] * 6, ([(0, 1)], 1, False)])
+@example(16, 0, [([(0, 0)], 1, False), *[([], 1, False)] * 8, ([(0, 1)], 1, False)])
+@example(16, 0, [([Reject.BAD_CHECKSUM], 1, False), *[([], 1, False)] * (3 * LEAK_TICKS)])
 def test_the_fast_path_and_the_rules_judge_every_history_alike(
     modulus: int, before_wrap: int, ticks: list[tuple[list[tuple[int, int] | Reject], int, bool]]
 ) -> None:
-    play(modulus, before_wrap, ticks)
-    if modulus and before_wrap >= 0:
-        play(modulus, 3 * modulus - before_wrap % 8, ticks)  # over the wrap
+    for layout in (AnyLayout, ReadAtOnce):
+        play(layout(modulus), before_wrap, ticks)
+        if modulus and before_wrap >= 0:
+            play(layout(modulus), 3 * modulus - before_wrap % 8, ticks)  # over the wrap
 
 
 @pytest.mark.parametrize("modulus", [256, 65536])
@@ -167,3 +196,19 @@ def test_across_a_wrap_only_the_answer_to_the_latest_command_is_believed(modulus
         assert inbox.fresh == [True, False]
         assert inbox.samples == [due, None]
     assert inbox.age == [0, 8]
+
+
+def test_one_frame_may_carry_the_answers_of_several_axes() -> None:
+    layout = AnyLayout(16)
+    inbox, both = Inbox(layout, LEAK_TICKS), (Sample(0, 7, 0, 3, 0), Sample(1, 8, 0, 3, 0))
+    inbox.collect(layout.frames([both]), 3)
+    assert (inbox.samples, inbox.fresh) == (list(both), [True, True])
+    inbox.collect(layout.frames([(both[0],)]), 4)
+    assert (inbox.fresh, inbox.rejects[Reject.DUPLICATE]) == ([False, False], 1)
+
+
+def test_damage_that_nobody_can_be_blamed_for_blames_nobody() -> None:
+    layout = AnyLayout(16)
+    inbox = Inbox(layout, LEAK_TICKS)
+    inbox.collect(layout.frames([Reject.BAD_CHECKSUM]), 0)
+    assert (inbox.bad_frames, inbox.suspect_axis) == (1, -1)
