@@ -37,7 +37,7 @@ class SampleClock:
     )  # fmt: skip
 
     def __init__(
-        self, inputs: LawInputs, resolution: float, period_ns: int, wrap_ns: int = 0, error_map: ErrorMap | None = None
+        self, inputs: LawInputs, resolution: float, period_ns: int, wrap_ns: int, error_map: ErrorMap | None
     ) -> None:
         """wrap_ns: after which the drive's stamps repeat; 0: they are of the host's clock."""
         self._inputs = inputs

@@ -8,14 +8,15 @@ from hypothesis import strategies as st
 
 from drivers.config import BusConfig
 from drivers.protocols import host_protocol
-from drivers.protocols.base import Sample
+from drivers.protocols.base import DriveStatus, Sample
 from hil.control.error_map import ErrorMap
 from hil.cycle.axes import axis_inputs  # in the compiled build, those that a rig's cycle works with
 from hil.cycle.drive_clock import ROUNDING_NS
+from hil.cycle.fault_evidence import Evidence
 from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault
 from hil.cycle.inbox import Inbox
-from hil.cycle.sampling import LATENCY_STEP_NS, LONGEST_PERIODS, Sampling
+from hil.cycle.sampling import LATENCY_STEP_NS, Sampling
 from tests.cycle.test_fault_thresholds import INNOVATION, LIMITS, PERIOD_NS, SAFETY
 
 AXES = 2
@@ -45,6 +46,15 @@ class Bench:
 
     def faults(self) -> list[Fault]:
         return [fault for fault in Fault if self.monitor.active >> fault & 1]
+
+
+def test_before_the_first_sample_nothing_is_known() -> None:
+    bench = Bench()
+    for clock in bench.sampling.clocks:
+        assert (clock.instant, clock.latency, clock.known, clock.stretch) == (0, 0, False, 1.0)
+        assert (clock.trusted, clock.offset, clock.awaits_index) == (0.0, 0, False)
+    assert (bench.sampling.instants, bench.sampling.starts) == ([0, 0], [0, 0])
+    assert (bench.sampling.shares, bench.sampling.tracked) == ([0.0, 0.0], False)
 
 
 def test_a_sample_s_instant_is_its_stamp_and_a_missing_one_s_a_period_later() -> None:
@@ -92,7 +102,7 @@ def test_a_stamp_that_jumps_makes_no_interval_of_hours_and_none_below_zero() -> 
     bench.sampling.tracked = True
     bench.tick(1_000_000, (300_000, 0), (300_000, 0))
     bench.tick(2_000_000, (10**13, 0), (200_000, 0))
-    assert [x.sample_interval for x in bench.inputs] == [LONGEST_PERIODS * 1e-3, 0.0]
+    assert [x.sample_interval for x in bench.inputs] == [0.008, 0.0], "eight periods at most"
 
 
 @pytest.mark.requirement(id="SR-3.3")
@@ -202,6 +212,40 @@ def test_of_all_other_drives_the_latest_force_acts_in_no_part_of_the_interval() 
     assert bench.sampling.shares == [0.0, 0.0]
 
 
+# counts that begin anew -----------------------------------------------------------------------------------------------
+
+
+def one_clock(*, homed: bool, stamp_ns: int, counts: int, bench: Bench) -> None:
+    status = int(DriveStatus.HOMED) if homed else 0
+    clock, sample = bench.sampling.clocks[0], Sample(0, counts, status, 0, stamp_ns)
+    assert clock.take(0, sample, stamp_ns - 300_000, stamp_ns + 100_000, bench.monitor, tracked=False)
+
+
+def test_counts_that_begin_at_the_index_go_on_where_the_axis_is_by_then() -> None:
+    bench = Bench()
+    clock, x = bench.sampling.clocks[0], bench.inputs[0]
+    one_clock(homed=True, stamp_ns=300_000, counts=100, bench=bench)
+    assert clock.offset == 0, "nobody waits for the index"
+    clock.awaits_index, x.velocity_estimate = True, 0.02
+    one_clock(homed=False, stamp_ns=1_300_000, counts=100, bench=bench)
+    assert (clock.offset, clock.awaits_index) == (0, True), "it is not there yet"
+    one_clock(homed=True, stamp_ns=2_300_000, counts=7, bench=bench)
+    assert (clock.offset, clock.awaits_index) == (113, False), "20 um further, which are 20 counts"
+    assert x.position == clock.trusted == pytest.approx(120e-6, rel=1e-12)
+    one_clock(homed=True, stamp_ns=3_300_000, counts=9, bench=bench)
+    assert (clock.offset, x.position) == (113, pytest.approx(122e-6, rel=1e-12))
+
+
+def test_a_place_that_gets_another_count_stays_where_it_is() -> None:
+    bench = Bench()
+    clock = bench.sampling.clocks[0]
+    one_clock(homed=False, stamp_ns=300_000, counts=100, bench=bench)
+    assert clock.shift(5) == pytest.approx(5e-6, rel=1e-12)
+    assert (clock.offset, clock.trusted) == (5, pytest.approx(105e-6, rel=1e-12))
+    assert clock.shift(-7) == pytest.approx(-7e-6, rel=1e-12)
+    assert (clock.offset, clock.trusted) == (-2, pytest.approx(98e-6, rel=1e-12))
+
+
 # drives with clocks of their own --------------------------------------------------------------------------------------
 
 CLOCKS = (1 << 32, 1 << 32)
@@ -230,6 +274,51 @@ def test_a_sample_whose_stamp_cannot_be_true_is_missed_and_its_instant_is_a_peri
     assert [(x.fresh, x.answered) for x in bench.inputs] == [(0.0, 1.0), (1.0, 1.0)]
     assert bench.sampling.instants == [instant + PERIOD_NS for instant in before]
     assert bench.inputs[0].position == 399 * RESOLUTION[0]
+
+
+def wrong_stamps(off_ns: int) -> list[Evidence]:
+    """What is flagged where axis 0's stamp is wrong by so much."""
+    bench = Bench(wraps_ns=CLOCKS)
+    own_clocks(1, 400, bench)
+    own_clocks(400, 401, bench, off_ns=off_ns)
+    return bench.monitor.evidence
+
+
+@pytest.mark.requirement(id="SR-3.4")
+def test_a_stamp_that_is_off_by_no_more_than_half_the_margin_is_a_glitch() -> None:
+    """The margin: three quarters of EARLY_NS. How far the bound is from the true stamp, the greatest jump tells."""
+    ((_, axis, beyond, limit),) = wrong_stamps(1_000_000)
+    assert (axis, limit) == (0, 0.0)
+    assert 0.85e-3 < beyond < 1e-3
+    at = 1_000_000 - round(beyond * 1e9) + 75_000
+    (most,), (more,) = wrong_stamps(at), wrong_stamps(at + 1)
+    assert (most.fault, most.value) == (Fault.STAMP_GLITCH, pytest.approx(75e-6, rel=1e-12))
+    assert (more.fault, more.value) == (Fault.STAMP, pytest.approx(75.001e-6, rel=1e-12))
+
+
+def test_nobody_answered_where_no_stamp_can_be_true() -> None:
+    bench = Bench(wraps_ns=CLOCKS)
+    own_clocks(1, 400, bench)
+    sent = 400 * PERIOD_NS
+    bench.inbox.received_ns = [sent + EARLY_NS, sent + LATE_NS]
+    bench.tick(sent + PERIOD_NS, (sent, 0), (sent, 0), sent_ns=sent)
+    assert [(x.fresh, x.answered) for x in bench.inputs] == [(0.0, 0.0)] * 2
+
+
+@pytest.mark.parametrize(("late_ns", "own"), [(0, True), (1, False)])
+def test_an_answer_that_came_no_later_than_the_command_tells_a_clock_nothing(late_ns: int, own: bool) -> None:
+    bench = Bench(wraps_ns=CLOCKS)
+    bench.inbox.received_ns = [PERIOD_NS + late_ns] * AXES
+    stamp = PERIOD_NS + OWN_NS
+    bench.tick(2 * PERIOD_NS, (stamp, 0), (stamp, 0), sent_ns=PERIOD_NS)
+    assert [instant == stamp for instant in bench.sampling.instants] == [own, own]
+
+
+def test_on_a_shared_clock_it_is_no_matter_when_an_answer_came() -> None:
+    bench = Bench()
+    bench.inbox.received_ns = [PERIOD_NS + EARLY_NS] * AXES
+    bench.tick(2 * PERIOD_NS, (PERIOD_NS, 0), (PERIOD_NS, 0), sent_ns=PERIOD_NS)
+    assert bench.sampling.instants == [PERIOD_NS, PERIOD_NS]
 
 
 @pytest.mark.requirement(id="SR-3.4")
