@@ -175,7 +175,7 @@ def play(layout: AnyLayout, first: int, ticks: list[tuple[list[tuple[int, int] |
 @example(16, -1, [([(0, 0)], 1, False), *[([], 1, False)] * LEAK_TICKS])
 @example(16, 0, [([(0, 0)], 1, False), *[([], 1, False)] * 6, ([(0, 1)], 1, False)])
 @example(16, 0, [([(0, 0)], 1, False), *[([], 1, False)] * 8, ([(0, 1)], 1, False)])
-@example(16, 0, [([Reject.BAD_CHECKSUM], 1, False), *[([], 1, False)] * (3 * LEAK_TICKS)])
+@example(16, 0, [([Reject.BAD_CHECKSUM] * 3, 1, False), *[([], 1, False)] * (3 * LEAK_TICKS)])
 def test_the_fast_path_and_the_rules_judge_every_history_alike(
     modulus: int, before_wrap: int, ticks: list[tuple[list[tuple[int, int] | Reject], int, bool]]
 ) -> None:

@@ -87,6 +87,16 @@ def test_an_interval_is_stretched_where_more_than_half_a_slot_was_skipped(step_n
     assert bench.inputs[0].sample_interval == pytest.approx(step_ns * 1e-9, rel=1e-12)
     bench.tick(2_000_000 + step_ns, None, None)
     assert [clock.stretch for clock in bench.sampling.clocks] == [1.0, 1.0]
+    assert [x.sample_interval for x in bench.inputs] == [1e-3, 1e-3]
+
+
+def test_a_sample_is_taken_once() -> None:
+    bench = Bench()
+    bench.tick(1_000_000, (300_000, 10), (300_000, 20))
+    bench.inbox.fresh = [False, False]
+    bench.sampling.take(2_000_000, 1_000_000, bench.monitor)
+    assert [(x.fresh, x.answered) for x in bench.inputs] == [(0.0, 0.0)] * 2
+    assert bench.sampling.instants == [1_300_000, 1_300_000]
 
 
 def test_before_the_axes_are_tracked_every_position_is_believed_and_every_interval_is_a_period() -> None:
@@ -342,9 +352,15 @@ def test_drives_that_sample_at_one_command_have_done_so_before_the_first_answer(
     assert behind == [EARLY_NS + ROUNDING_NS, last_ns + ROUNDING_NS]
 
 
+def test_one_drive_with_a_clock_of_its_own_is_held_to_the_first_answer_of_all() -> None:
+    bench = Bench(wraps_ns=(0, CLOCKS[1]))
+    own_clocks(1, 2, bench, sampled_ns=LATE_NS - 1_000)
+    assert bench.sampling.instants[1] - PERIOD_NS == EARLY_NS + ROUNDING_NS
+
+
 def test_the_error_map_is_of_positions_in_metres() -> None:
     bench = Bench()
     maps = [ErrorMap([0.0, 1e-3], [0.0, 1e-5]), None]
-    bench.sampling = Sampling(bench.inputs, bench.inbox, RESOLUTION, PERIOD_NS, maps=maps)
+    bench.sampling = Sampling(bench.inputs, bench.inbox, RESOLUTION, PERIOD_NS, one_command=True, maps=maps)
     bench.tick(1_000_000, (300_000, 500), (300_000, 500))
     assert [x.position for x in bench.inputs] == [pytest.approx(5.05e-4, rel=1e-12), 1e-3]

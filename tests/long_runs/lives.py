@@ -296,12 +296,11 @@ def _to_the_end(rows: Iterator[Row]) -> Iterator[Row]:
 
 
 def told(rows: Iterator[Row]) -> bool:
-    """Print what was not explained, the latches and the counts; whether all was explained and latched in time."""
+    """Print each try, the latches and the counts; whether all was explained."""
     found = []
     for row in _to_the_end(rows):
         found.append(row)
-        if row.why:
-            print(f"UNEXPLAINED {row.name}: {row.why}", flush=True)
+        print(f"UNEXPLAINED {row.name}: {row.why}" if row.why else f"explained: {row.name}", flush=True)
     latched = sorted(row.latched_s for row in found if row.latched_s >= 0.0)
     print(f"{len(found)} tries, {sum(not row.why for row in found)} explained", flush=True)
     if latched:
