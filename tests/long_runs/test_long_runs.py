@@ -1,12 +1,14 @@
 """Slices of the long campaigns, and that each of them tells what is wrong. All of it: python -m tests.long_runs."""
 
 import random
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.long_runs.clocks import DRIFTS_PPM, LAYOUTS, WRAPS, around, day
-from tests.long_runs.lives import Row, cut, cycles, kills_beside, kills_of_control, told
+from tests.long_runs.lives import Row, by_host, cut, cycles, kills_beside, kills_of_control, told
 from tests.long_runs.loops import Loop, drawn, holds, said, ticked, verdicts
 
 
@@ -68,6 +70,23 @@ def test_what_is_not_explained_is_told(capsys: pytest.CaptureFixture[str]) -> No
     assert told(iter([Row("a"), Row("b", latched_s=0.001)]))
     assert not told(iter([Row("a"), Row("c", "it ended")]))
     assert "UNEXPLAINED c: it ended" in capsys.readouterr().out
+    assert told(iter([Row("d", "", 0.009, by_host=True), Row("e", "", 0.008), Row("f", "", 0.001, by_host=True)]))
+    assert "2 beyond 5 ms, 1 of them while this machine missed ticks" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("own", "host", "expected"),
+    [((3, 3, 3), (7, 7, 8), True), ((3, 3, 4), (7, 7, 8), False), ((3, 3, 3), (7, 8, 8), False)],
+)
+def test_the_machine_is_blamed_for_what_it_missed_around_a_press(
+    own: tuple[int, ...], host: tuple[int, ...], expected: bool
+) -> None:
+    """The first record is long before the press."""
+    fields = [("now_ns", "<i8"), ("missed_own", "<u8"), ("missed_host", "<u8")]
+    records = np.array(list(zip((0, 10**9, 10**9 + 10**6), own, host, strict=True)), dtype=fields)
+    reader: Any = SimpleNamespace(read=lambda limit, fields: SimpleNamespace(records=records))
+    assert by_host(reader, 10**9 + 1_000, 10**9 + 2_000) is expected
+    assert not by_host(reader, 10**10, 10**10), "no tick is known"
 
 
 @pytest.mark.requirement(id="SR-7.2")
