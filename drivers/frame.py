@@ -1,6 +1,7 @@
 """One CAN or CAN FD frame, in the terms of Linux's can_frame and canfd_frame (include/uapi/linux/can.h)."""
 
 import struct
+from operator import attrgetter
 from typing import Final, NamedTuple
 
 EXTENDED: Final = 0x80000000  # CAN_EFF_FLAG, in can_id
@@ -54,6 +55,16 @@ def on_segment(frame: Frame, segment: int) -> Frame:
     """The same frame on that segment, from 0 to MAX_SEGMENTS - 1."""
     can_id, data, flags, stamp_ns = frame
     return Frame(can_id, data, flags & ~SEGMENT | segment << _SEGMENT_SHIFT, stamp_ns)
+
+
+def sort_by_time(frames: list[Frame]) -> None:
+    """The earliest received first; those of the same time stay as they are."""
+    last_ns = 0
+    for frame in frames:
+        if frame.timestamp_ns < last_ns:  # mostly none is
+            frames.sort(key=attrgetter("timestamp_ns"))
+            return
+        last_ns = frame.timestamp_ns
 
 
 def to_bytes(frame: Frame) -> bytes:

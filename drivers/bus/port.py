@@ -17,7 +17,6 @@ import errno
 import socket
 import struct
 from collections.abc import Callable, Sequence
-from operator import attrgetter
 from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import Final, Literal, Protocol
@@ -31,7 +30,7 @@ from drivers.bus.receive_block import ReceiveBlock, stamp
 from drivers.bus.recvmmsg import SLOTS, STAMPED
 from drivers.bus.socketcan import SocketCanMedium, is_can_interface
 from drivers.config import KERNEL_INTERFACES, BusConfig
-from drivers.frame import CAN_MTU, CANFD_MTU, ECHO, ERROR, FD, Frame, to_bytes
+from drivers.frame import CAN_MTU, CANFD_MTU, ECHO, ERROR, FD, Frame, sort_by_time, to_bytes
 from drivers.native import tuple_as
 
 __all__ = ["BusState", "Medium", "Port", "PortCounters", "PortError", "Role", "open_port", "resolve_interface"]
@@ -146,7 +145,7 @@ class Port:
             frames = []
             for fd in sources:
                 frames += self._read(fd, offset_ns, earliest_ns, latest_ns)
-            frames.sort(key=attrgetter("timestamp_ns"))
+            sort_by_time(frames)
         count = len(frames)
         self._counts[_RECEIVED] += count
         if count > self._receive_limit:
@@ -306,7 +305,7 @@ class EchoingPort(Port):
         """As Port.send."""
         sent = super().send(frame)
         if sent and frame.can_id == self._echo_id:
-            self._echoes.append(frame._replace(flags=frame.flags | ECHO, timestamp_ns=stamp(monotonic_ns())))
+            self._echoes.append(Frame(frame.can_id, frame.data, frame.flags | ECHO, stamp(_monotonic_ns())))
         return sent
 
     def drain(self, now_ns: int) -> list[Frame]:
@@ -315,7 +314,7 @@ class EchoingPort(Port):
         if self._echoes:
             self._counts[_ECHO] += len(self._echoes)
             frames = self._echoes[: self._receive_limit - len(frames)] + frames
-            frames.sort(key=attrgetter("timestamp_ns"))
+            sort_by_time(frames)
             self._echoes = []
         return frames
 

@@ -6,12 +6,11 @@ bus. What brings a bus back (purge, rebind) is for the one that needs it: `membe
 """
 
 from collections.abc import Sequence
-from operator import attrgetter
 
 from drivers.bus.counters import PortCounters, of_all
 from drivers.bus.port import Port, PortError, Role, open_port
 from drivers.config import BusConfig
-from drivers.frame import Frame, on_segment, segment_of
+from drivers.frame import Frame, on_segment, segment_of, sort_by_time
 
 
 class SegmentedPort(Port):
@@ -38,7 +37,7 @@ class SegmentedPort(Port):
         frames: list[Frame] = []
         for number, member in enumerate(self._members):
             frames += [on_segment(frame, number) for frame in member.drain(now_ns)]
-        frames.sort(key=attrgetter("timestamp_ns"))
+        sort_by_time(frames)
         if len(frames) > self._most:
             if self._drained:
                 self._beyond += len(frames) - self._most

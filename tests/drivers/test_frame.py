@@ -16,6 +16,7 @@ from drivers.frame import (
     REMOTE,
     Frame,
     from_bytes,
+    sort_by_time,
     to_bytes,
 )
 
@@ -72,3 +73,11 @@ def test_any_bytes_are_a_possible_frame_or_none(packet: bytes) -> None:
 def test_a_length_that_no_frame_has_is_refused(frame: Frame) -> None:
     with pytest.raises(ValueError, match=rf"^{len(frame.data)} data bytes"):
         to_bytes(frame)
+
+
+@given(st.lists(st.integers(-3, 3), max_size=6))
+def test_frames_are_sorted_by_time_and_stay_in_order_where_it_is_the_same(times: list[int]) -> None:
+    frames = [Frame(number, b"", 0, time) for number, time in enumerate(times)]
+    ordered = sorted(frames, key=lambda frame: frame.timestamp_ns)
+    sort_by_time(frames)
+    assert frames == ordered
