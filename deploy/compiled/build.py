@@ -65,6 +65,7 @@ hil/live: mailbox ring stop_line
 drivers: arbitration frame frame_length
 drivers/bus: port segmented_port counters local_link local_medium receive_block socketcan
 drivers/outputs: hil_frame
+drivers/families/cia402: host master node
 drivers/families/stage: common stage_classic stage_fd
 drivers/protocols: base checksum common sampling_clock
 drivers/sensors: base hil_frame

@@ -2,7 +2,7 @@
 
 Only the compiled build has it (deploy/compiled/extensions.py). In a checkout the twins in Python run. They say what
 each function means, and are what tests and mutants look at: recvmmsg.py and receive_block.py in drivers/bus,
-stage_fd.py in drivers/families/stage, hil/live/pacing.py, hil/cycle/record_builder.py.
+stage/stage_fd.py and cia402/host.py in drivers/families, hil/live/pacing.py, hil/cycle/record_builder.py.
 """
 
 import importlib

@@ -1,11 +1,12 @@
 /* What a live tick does with its frames, in C: drivers/native/__init__.py says when it is used.
  *
- * Every function has a twin in Python, which says what it means: receive_block.py, stage_fd.py, pacing.py,
- * record_builder.py. tests/drivers/test_native.py holds them equal. */
+ * Every function has a twin in Python, which says what it means: receive_block.py, stage_fd.py, cia402/host.py,
+ * pacing.py, record_builder.py. tests/drivers/test_native.py holds them equal. */
 #define _GNU_SOURCE
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 #include <errno.h>
+#include <math.h>
 #include <stdint.h>
 #include <string.h>
 #include <sys/socket.h>
@@ -14,8 +15,10 @@
 enum { SECOND = 1000000000, STAMP = 1000, DATA_AT = 8, MOST_DATA = 64, FRAME_BYTES = 72, CONTROL_BYTES = 64 };
 enum { SLOT_BYTES = FRAME_BYTES + CONTROL_BYTES, STAMPED = CMSG_SPACE(sizeof(struct timespec)) };
 enum { FEEDBACK = 16, COMMAND = 24, RECORDED = 80, AXES = 4 };
+enum { TPDO = 6, WATCHED_TPDO = 7, TORQUE_MODE = 10, ECHO = -1, ROW = 6 };
 #define ERROR_FLAG 0x20000000u
 #define FD_FLAG 0x04
+#define ECHO_FLAG 0x80
 
 static uint32_t crc_table[256];
 
@@ -205,42 +208,144 @@ static PyObject *feedback(PyObject *Py_UNUSED(module), PyObject *const *args, Py
     return Py_BuildValue("LLLL", (long long)found[0], (long long)found[1], (long long)found[2], (long long)found[3]);
 }
 
-/* One sound answer of an axis, into six numbers: axis, the four of a feedback, received_ns; 0: it is none. */
-static int read_answer(PyObject *frame, int64_t first_id, int64_t axes, int64_t most, int64_t *into) {
+/* What a frame, a NamedTuple of four, is made of. */
+typedef struct {
+    int64_t can_id, flags, stamp;
+    const uint8_t *data;
+    Py_ssize_t length;
+} Parts;
+
+/* Its parts; 0 with an exception where it is none. */
+static int take_apart(PyObject *frame, Parts *into) {
     if (!PyTuple_Check(frame) || PyTuple_GET_SIZE(frame) != 4 || !PyBytes_Check(PyTuple_GET_ITEM(frame, 1))) {
+        PyErr_SetString(PyExc_TypeError, "no frame");
         return 0;
     }
-    PyObject *data = PyTuple_GET_ITEM(frame, 1);
-    int64_t can_id = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 0)), flags = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 2));
-    into[0] = can_id - first_id, into[5] = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 3));
-    if (PyErr_Occurred()) {
-        PyErr_Clear();
-        return 0;
-    }
-    return 0 <= into[0] && into[0] < axes && flags & FD_FLAG && PyBytes_GET_SIZE(data) == FEEDBACK &&
-           read_feedback((const uint8_t *)PyBytes_AS_STRING(data), can_id, into[5], into + 1) && into[2] <= most;
+    into->can_id = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 0));
+    into->flags = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 2));
+    into->stamp = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 3));
+    into->data = (const uint8_t *)PyBytes_AS_STRING(PyTuple_GET_ITEM(frame, 1));
+    into->length = PyBytes_GET_SIZE(PyTuple_GET_ITEM(frame, 1));
+    return !PyErr_Occurred();
 }
 
-/* answers(frames, first_id, axes, most_status) -> six i64 of each, little-endian; None: not all of them are some */
-static PyObject *answers(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
-    int64_t given[3], found[6];
-    if (!expects("answers", n, 4) || !integers(args + 1, 3, given)) {
-        return NULL;
-    }
-    PyObject *frames = PySequence_Fast(args[0], "answers(): no list of frames");
-    Py_ssize_t count = frames == NULL ? 0 : PySequence_Fast_GET_SIZE(frames);
+/* Six numbers of a frame (axis, position, status, sequence, stamp_ns, received_ns), as its layout reads it; 0: it is
+ * no answer that can be read here. */
+typedef int (*Reader)(void *layout, const Parts *frame, int64_t *into);
+
+/* Six i64, little-endian, of each of the first frames, up to one that cannot be read here. */
+static PyObject *rows(PyObject *list, Reader read, void *layout) {
+    int64_t found[ROW];
+    PyObject *frames = PySequence_Fast(list, "no list of frames");
+    Py_ssize_t count = frames == NULL ? 0 : PySequence_Fast_GET_SIZE(frames), i = 0;
     PyObject *all = frames == NULL ? NULL : PyBytes_FromStringAndSize(NULL, count * (Py_ssize_t)sizeof found);
-    for (Py_ssize_t i = 0; all != NULL && all != Py_None && i < count; i++) {
-        if (read_answer(PySequence_Fast_GET_ITEM(frames, i), given[0], given[1], given[2], found)) {
-            for (int k = 0; k < 6; k++) {
-                put_i64((uint8_t *)PyBytes_AS_STRING(all) + i * (Py_ssize_t)sizeof found + 8 * k, found[k]);
-            }
-        } else {
-            Py_SETREF(all, Py_NewRef(Py_None));
+    Parts frame;
+    while (all != NULL && i < count && take_apart(PySequence_Fast_GET_ITEM(frames, i), &frame) &&
+           read(layout, &frame, found)) {
+        for (int k = 0; k < ROW; k++) {
+            put_i64((uint8_t *)PyBytes_AS_STRING(all) + i * (Py_ssize_t)sizeof found + 8 * k, found[k]);
         }
+        i++;
+    }
+    if (all != NULL && i < count) {
+        PyErr_Clear();
+        _PyBytes_Resize(&all, i * (Py_ssize_t)sizeof found);
     }
     Py_XDECREF(frames);
     return all;
+}
+
+/* first_id, axes, most_status */
+static int read_stage(void *layout, const Parts *frame, int64_t *into) {
+    const int64_t *of = layout;
+    into[0] = frame->can_id - of[0], into[5] = frame->stamp;
+    return 0 <= into[0] && into[0] < of[1] && frame->flags & FD_FLAG && frame->length == FEEDBACK &&
+           read_feedback(frame->data, frame->can_id, frame->stamp, into + 1) && into[2] <= of[2];
+}
+
+/* answers(frames, first_id, axes, most_status) -> rows of stage_fd's */
+static PyObject *answers(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t given[3];
+    if (!expects("answers", n, 4) || !integers(args + 1, 3, given)) {
+        return NULL;
+    }
+    return rows(args[0], read_stage, given);
+}
+
+typedef struct {
+    const uint8_t *usual; /* by axis: can_id (u32), statusword (u16), status (u16) */
+    int64_t axes, length, significant, sync_id, echo_ns, heard;
+} Tpdos;
+
+static int read_tpdo(void *layout, const Parts *frame, int64_t *into) {
+    Tpdos *of = layout;
+    into[3] = -1, into[5] = frame->stamp;
+    if (frame->can_id == of->sync_id && frame->flags & ECHO_FLAG && frame->stamp >= 0) {
+        into[0] = ECHO, into[1] = into[2] = 0, into[4] = of->echo_ns = frame->stamp;
+        return 1;
+    }
+    if (of->echo_ns < 0 || frame->flags & FD_FLAG || frame->length != of->length) {
+        return 0;
+    }
+    for (int64_t axis = 0; axis < of->axes; axis++) {
+        const uint8_t *usual = of->usual + 8 * axis;
+        if (frame->can_id == read_u32(usual)) {
+            into[0] = axis, into[1] = (int32_t)read_u32(frame->data), into[2] = read_u16(usual + 6);
+            into[4] = of->echo_ns;
+            int as_usual = (read_u16(frame->data + 4) & of->significant) == read_u16(usual + 4) &&
+                           (of->length == TPDO || frame->data[TPDO] == TORQUE_MODE);
+            of->heard |= (int64_t)as_usual << axis;
+            return as_usual;
+        }
+    }
+    return 0;
+}
+
+/* tpdos(frames, usual, length, significant, sync_id) -> (rows of cia402's, echo_ns or -1, bits of the axes heard) */
+static PyObject *tpdos(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t given[3];
+    Py_buffer usual;
+    if (!expects("tpdos", n, 5) || !integers(args + 2, 3, given) || PyObject_GetBuffer(args[1], &usual, PyBUF_SIMPLE)) {
+        return NULL;
+    }
+    Tpdos layout = {usual.buf, usual.len / 8, given[0], given[1], given[2], -1, 0};
+    int fits = layout.axes <= AXES && (layout.length == TPDO || layout.length == WATCHED_TPDO);
+    PyObject *read = fits ? rows(args[0], read_tpdo, &layout) : too_small("tpdos");
+    PyBuffer_Release(&usual);
+    return read == NULL ? NULL : Py_BuildValue("NLL", read, (long long)layout.echo_ns, (long long)layout.heard);
+}
+
+/* torques(forces, rated, gains, limits, enable) -> 6071h of each axis, i16 each; None: a force is beyond its rated one */
+static PyObject *torques(PyObject *Py_UNUSED(module), PyObject *const *args, Py_ssize_t n) {
+    int64_t enable, axes = -1;
+    uint8_t data[2 * AXES];
+    PyObject *list[4] = {NULL};
+    if (!expects("torques", n, 5) || !integers(args + 4, 1, &enable)) {
+        return NULL;
+    }
+    int sound = 1;
+    for (int i = 0; sound && i < 4; i++) {
+        list[i] = PySequence_Fast(args[i], "torques(): no list of numbers");
+        axes = i == 0 && list[i] != NULL ? PySequence_Fast_GET_SIZE(list[i]) : axes;
+        sound = list[i] != NULL && axes <= AXES && PySequence_Fast_GET_SIZE(list[i]) == axes;
+    }
+    for (int64_t axis = 0; sound && axis < axes; axis++) {
+        double of[4]; /* force, rated force, gain, limit */
+        for (int i = 0; i < 4; i++) {
+            of[i] = PyFloat_AsDouble(PySequence_Fast_GET_ITEM(list[i], axis));
+        }
+        sound = -of[1] <= of[0] && of[0] <= of[1] && !PyErr_Occurred();
+        double value = sound && enable >> axis & 1 ? rint(of[0] * of[2]) : 0.0;
+        value = value < -of[3] ? -of[3] : value > of[3] ? of[3] : value;
+        put_u16(data + 2 * axis, (uint16_t)(int16_t)value);
+    }
+    for (int i = 0; i < 4; i++) {
+        Py_XDECREF(list[i]);
+    }
+    if (!sound) {
+        return PyErr_Occurred() ? NULL : Py_NewRef(Py_None);
+    }
+    return PyBytes_FromStringAndSize((const char *)data, 2 * axes);
 }
 
 /* command(can_id, forces, limits, sequence, flags) -> the 24 bytes of a command frame; None: a force is beyond them */
@@ -296,27 +401,19 @@ static PyObject *tuple_as(PyObject *Py_UNUSED(module), PyObject *const *args, Py
 
 /* One frame as a record keeps it, RECORDED bytes; 0 with an exception where it is none. */
 static int keep(uint8_t *at, PyObject *frame) {
-    if (!PyTuple_Check(frame) || PyTuple_GET_SIZE(frame) != 4 || !PyBytes_Check(PyTuple_GET_ITEM(frame, 1))) {
-        PyErr_SetString(PyExc_TypeError, "keep(): no frame");
+    Parts of;
+    if (!take_apart(frame, &of)) {
         return 0;
     }
-    PyObject *data = PyTuple_GET_ITEM(frame, 1);
-    Py_ssize_t length = PyBytes_GET_SIZE(data);
-    int64_t can_id = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 0));
-    int64_t flags = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 2));
-    int64_t stamp = PyLong_AsLongLong(PyTuple_GET_ITEM(frame, 3));
-    if (PyErr_Occurred()) {
-        return 0;
-    }
-    if (length > MOST_DATA) {
+    if (of.length > MOST_DATA) {
         too_small("keep");
         return 0;
     }
-    int64_t head = can_id | (int64_t)length << 32 | flags << 40;
-    memcpy(at, &stamp, 8);
+    int64_t head = of.can_id | (int64_t)of.length << 32 | of.flags << 40;
+    memcpy(at, &of.stamp, 8);
     memcpy(at + 8, &head, 8);
-    memcpy(at + 16, PyBytes_AS_STRING(data), (size_t)length);
-    memset(at + 16 + length, 0, (size_t)(MOST_DATA - length));
+    memcpy(at + 16, of.data, (size_t)of.length);
+    memset(at + 16 + of.length, 0, (size_t)(MOST_DATA - of.length));
     return 1;
 }
 
@@ -437,6 +534,8 @@ static PyMethodDef methods[] = {
     FAST(frames),
     FAST(feedback),
     FAST(answers),
+    FAST(tpdos),
+    FAST(torques),
     FAST(command),
     FAST(tuple_as),
     FAST(record),

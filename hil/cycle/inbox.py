@@ -23,6 +23,7 @@ SUSPICIOUS = frozenset(
 )
 
 
+_OWN_ECHO: Final = int(Reject.OWN_ECHO)
 _NOT_EXPECTED: Final = -2  # no sample has this sequence number
 _WORD: Final = 8
 _ANSWER: Final = 6 * _WORD  # bytes of an answer that was read in C: a Sample's fields, and when it came
@@ -48,8 +49,8 @@ class Inbox:
         self._readings = readings
         self._outputs = outputs
         self._decode = protocol.decode
-        # Of layouts whose frames are read in C, all of a tick at once (drivers/families/stage/stage_fd.py).
-        self._answers: Callable[[Sequence[Frame]], bytes | None] | None = getattr(protocol, "answers", None)
+        # Of layouts whose frames are read in C, as many of a tick as are usual (drivers/families/stage/stage_fd.py).
+        self._answers: Callable[[Sequence[Frame]], bytes] | None = getattr(protocol, "answers", None)
         self._own = own_ids(protocol)
         self._checked = protocol.checksum
         self._unforgiven = 0  # of bad_frames
@@ -89,18 +90,21 @@ class Inbox:
         self.foreign_id = self.differ_axis = -1
         for axis in range(len(self.fresh)):
             self.fresh[axis] = False
-        read = None if self._answers is None else self._answers(frames)
-        if read is None:
-            self._sort(frames, sent_sequence)
-        else:
-            self._take_read(read, sent_sequence)
+        read = b"" if self._answers is None else self._answers(frames)
+        self._take_read(read, sent_sequence)
+        rest = len(read) // _ANSWER
+        if rest < len(frames):
+            self._sort(frames[rest:], sent_sequence)
         if sent_sequence >= 0:
             self._grow_older()
 
     def _take_read(self, read: bytes, sent_sequence: int) -> None:
-        """Answers that were read in C."""
+        """Answers that were read in C, and own echoes, which have no axis."""
         for begin in range(0, len(read), _ANSWER):
             at: i64 = begin
+            if read_i64_le(read, at) < 0:
+                self.rejects[_OWN_ECHO] += 1
+                continue
             sample = Sample(
                 read_i64_le(read, at), read_i64_le(read, at + _WORD), read_i64_le(read, at + 2 * _WORD),
                 read_i64_le(read, at + 3 * _WORD), read_i64_le(read, at + 4 * _WORD),

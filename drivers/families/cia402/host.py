@@ -19,8 +19,8 @@ TPDO behind SYNC.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from struct import Struct
-from typing import Any
+from struct import Struct, pack
+from typing import Any, Final
 
 from drivers.base.text_file import words_of
 from drivers.config import BusConfig, Wiring
@@ -33,9 +33,10 @@ from drivers.families.cia402.inputs import LENGTH as INPUTS_LENGTH
 from drivers.families.cia402.inputs import TELLS as INPUTS
 from drivers.families.cia402.inputs import TPDO2_ID, InputWatch
 from drivers.families.cia402.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
-from drivers.families.cia402.node import NodeMaster, Phase
+from drivers.families.cia402.node import RUNNING, NodeMaster
 from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, plan_drives
 from drivers.frame import ECHO, FD, Frame
+from drivers.native import path as native
 from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
 from drivers.protocols.common import INT32, MAX_AXES, check_force, reject_id
 from drivers.protocols.sampling_clock import SamplingClock
@@ -46,6 +47,30 @@ OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True, stop_op
 _SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE  # bits of the statusword that are looked at
 _FAULT = int(DriveStatus.FAULT)  # of a drive that sends positions before it is configured and read back
 _OURS = cia301.HOMED | cia301.BRAKE  # the project's own drive has these two besides; others use them as they please
+_USUAL: Final = Struct("<IHH")  # of an axis: identifier of its answers, statusword as it is looked at, status
+
+
+def _plain_torques(
+    forces: Sequence[float], rated: Sequence[float], gains: Sequence[float], limits: Sequence[int], enable: int
+) -> bytes | None:
+    """6071h of every axis, 16 bits each, of forces in N or N m; None: not one per axis, each within its rated force."""
+    if len(forces) != len(rated):
+        return None
+    raw = []
+    for axis, (force, bound, gain, limit) in enumerate(zip(forces, rated, gains, limits, strict=True)):
+        if not -bound <= force <= bound:
+            return None
+        value = round(force * gain) if enable >> axis & 1 else 0
+        raw.append(value if -limit <= value <= limit else max(-limit, min(limit, value)))
+    return pack(f"<{len(raw)}h", *raw)
+
+
+_torques: Final[Callable[[Sequence[float], Sequence[float], Sequence[float], Sequence[int], int], bytes | None]] = (
+    native.torques if native else _plain_torques
+)
+_tpdos: Final[Callable[[Sequence[Frame], bytearray, int, int, int], tuple[bytes, int, int]] | None] = (
+    native.tpdos if native else None
+)
 
 
 def node_ids(bus: BusConfig, n_axes: int) -> list[int]:
@@ -125,10 +150,6 @@ class Cia402Host:
     causes = False  # a statusword says FAULT; why, an emergency message does
     resets = True
     fd = False
-    echo_id: int | None = cia301.SYNC_ID
-    acts_ns: Sequence[int] = ()
-    stamp_wraps_ns: Sequence[int] = ()
-    network_ids = (cia301.NMT_ID,)
     state_ns = 0
 
     def __init__(self, wiring: Wiring) -> None:
@@ -138,6 +159,10 @@ class Cia402Host:
         if len(rated_force) != n_axes or not all(0 < force < 1e5 for force in rated_force):
             raise LayoutError(f"rated forces {list(rated_force)}: one per axis, above 0 and below 1e5, is needed")
         self.n_axes = n_axes
+        self.echo_id: int | None = cia301.SYNC_ID
+        self.acts_ns: Sequence[int] = ()
+        self.stamp_wraps_ns: Sequence[int] = ()
+        self.network_ids = (cia301.NMT_ID,)
         self.positions: Sequence[tuple[float, float]] = [INT32] * n_axes  # 6064h
         self._bus = bus
         self._rated = list(rated_force)
@@ -162,7 +187,6 @@ class Cia402Host:
         counts = range(1, cia301.SYNC_COUNTER_MAX + 1)
         self._syncs = [Frame(cia301.SYNC_ID, bytes((count,)) if self.plans[0].counter else b"") for count in counts]
         self._rpdo_ids = [cia301.RPDO1_ID + (first if self._shared else node) for node in nodes]
-        self._rpdo = Struct(f"<{n_axes}h" if self._shared else "<Hh")
         self._tpdo = Struct("<iHb" if self.plans[0].watched else "<iH")
         inputs = self.plans[0].inputs
         self.tells: int = OF_DRIVES | INPUTS if inputs else OF_DRIVES
@@ -172,6 +196,7 @@ class Cia402Host:
         self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
         self._axis = {cia301.TPDO1_ID + node: axis for axis, node in enumerate(nodes)}
+        self._usual = bytearray(_USUAL.size * n_axes)  # by axis, what it last told; it holds while the drive runs
         self._services = self._find_services()
         self._own = {cia301.NMT_ID, cia301.SYNC_ID, *self._rpdo_ids, *(word_ids or ())}
         self._own |= {cia301.SDO_REQUEST_ID + node for node in nodes}
@@ -211,14 +236,30 @@ class Cia402Host:
         node = self.nodes[axis]
         if state is not node.state:
             self.master.stir()
+        _USUAL.pack_into(self._usual, _USUAL.size * axis, can_id, word & self._significant, status)
         node.on_state(state)
         if mode:
             node.on_mode(mode[0])
-        if self._tick and node.phase is not Phase.RUNNING:  # who only listens configures nobody
+        if self._tick and node.phase is not RUNNING:  # who only listens configures nobody
             status |= _FAULT
         if self._inputs and self._tick:
             status |= self._inputs[axis].status(self._tick)
         return Sample(axis, position, status | node.alarms, -1, self._clock.instant(axis, frame))
+
+    def answers(self, frames: Sequence[Frame]) -> bytes:
+        """As StageFdHost.answers, of SYNC's echo (axis -1) and the answers behind it that tell the states known."""
+        if _tpdos is None or self._inputs:
+            return b""
+        for node in self.nodes:
+            if node.phase is not RUNNING or node.alarms:
+                return b""
+        read, echo_ns, heard = _tpdos(frames, self._usual, self._tpdo.size, self._significant, cia301.SYNC_ID)
+        if echo_ns >= 0:
+            self._clock.triggered(echo_ns)
+        for axis, node in enumerate(self.nodes):
+            if heard >> axis & 1:
+                node.on_pdo()
+        return read
 
     def _decode_inputs(self, axis: int, data: bytes, flags: int) -> Reject:
         if flags & FD:
@@ -265,22 +306,20 @@ class Cia402Host:
     def encode(self, command: Command) -> list[Frame]:
         """RPDOs, SYNC, [service frame]. Raises ValueError for a force not finite or beyond its rated force."""
         _, force, enable, reset = command
-        check_force(force, self._rated)
+        raw = _torques(force, self._rated, self._gains, self._limits, enable)
+        if raw is None:
+            check_force(force, self._rated)  # says which
+            raise ValueError(f"{len(force)} forces for {self.n_axes} axes")
         self._tick += 1
         self._clock.trigger()
-        raw = []
-        for axis, gain in enumerate(self._gains):
-            value = round(force[axis] * gain) if enable >> axis & 1 else 0
-            limit = self._limits[axis]
-            raw.append(value if -limit <= value <= limit else max(-limit, min(limit, value)))
         service = self.master.service(self._tick, enable, reset)
         if self._shared:
-            cyclic = [Frame(self._rpdo_ids[0], self._rpdo.pack(*raw))]
+            cyclic = [Frame(self._rpdo_ids[0], raw)]
         else:
             words = self.master.words(self._tick, enable)
             cyclic = [
-                Frame(can_id, self._rpdo.pack(word, torque))
-                for can_id, word, torque in zip(self._rpdo_ids, words, raw, strict=True)
+                Frame(can_id, word.to_bytes(2, "little") + raw[2 * axis : 2 * axis + 2])
+                for axis, (can_id, word) in enumerate(zip(self._rpdo_ids, words, strict=True))
             ]
         cyclic.append(self._syncs[self._tick % cia301.SYNC_COUNTER_MAX])
         return cyclic if service is None else [*cyclic, service]

@@ -8,10 +8,11 @@ are the rest of the list.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import DriveState, NmtCommand, NmtState
-from drivers.families.cia402.node import NodeMaster, Phase
+from drivers.families.cia402.node import RUNNING, NodeMaster
 from drivers.families.cia402.profile import MASTER_ID
 from drivers.frame import Frame
 
@@ -22,15 +23,18 @@ REPEAT_TICKS = 2 * SERVICE_TICKS  # as is one that disables, sooner: what it too
 RESET_TICKS = 100  # a reset that does not help in this time is over
 BOOT_TICKS = 10  # patience after the reset of communication, before the first SDO
 
+_SWITCHED_ON: Final = DriveState.SWITCHED_ON
+_ENABLED: Final = DriveState.OPERATION_ENABLED
+_FAULT: Final = DriveState.FAULT
 _CLIMB = {
     DriveState.SWITCH_ON_DISABLED: cia301.SHUTDOWN,
     DriveState.READY_TO_SWITCH_ON: cia301.SWITCH_ON,
-    DriveState.SWITCHED_ON: cia301.SWITCH_ON,
-    DriveState.OPERATION_ENABLED: cia301.SWITCH_ON,
+    _SWITCHED_ON: cia301.SWITCH_ON,
+    _ENABLED: cia301.SWITCH_ON,
 }
 """Controlword that leads from a state towards SWITCHED ON, where a drive waits for its enable bit."""
 
-_GOALS = (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
+_GOALS = (_SWITCHED_ON, _ENABLED)
 
 
 class Master:
@@ -71,7 +75,7 @@ class Master:
         if reset and not self._reset_before:
             self._reset_tick = tick
         in_turn = tick - self._sent_tick >= SERVICE_TICKS
-        urgent = self._enable_before & ~enable and any(n.state is DriveState.OPERATION_ENABLED for n in self.nodes)
+        urgent = self._enable_before & ~enable and any(n.state is _ENABLED for n in self.nodes)
         self._reset_before, self._enable_before = reset, enable
         if not in_turn and not urgent:
             return None
@@ -116,10 +120,10 @@ class Master:
         for axis, node in enumerate(self.nodes):
             wanted = bool(enable >> axis & 1)
             words.append(self._controlword(tick, axis, node, wanted))
-            if node.phase is Phase.RUNNING:
+            if node.phase is RUNNING:
                 running += 1
                 goal = _GOALS[wanted and self._armed[axis]]
-                waiting = waiting or node.state not in (goal, DriveState.FAULT)
+                waiting = waiting or node.state not in (goal, _FAULT)
         self._quiet = words == self._words and not waiting and running == len(self.nodes)
         if not running or self._word_ids is None:
             self._words = words
@@ -135,22 +139,21 @@ class Master:
     def _disables(self, words: Sequence[int]) -> bool:
         """Whether any drive that is enabled, or was told to be, is so no longer."""
         return any(
-            word != cia301.ENABLE_OPERATION
-            and (before == cia301.ENABLE_OPERATION or node.state is DriveState.OPERATION_ENABLED)
+            word != cia301.ENABLE_OPERATION and (before == cia301.ENABLE_OPERATION or node.state is _ENABLED)
             for word, before, node in zip(words, self._words, self.nodes, strict=True)
         )
 
     def _controlword(self, tick: int, axis: int, node: NodeMaster, wanted: bool) -> int:
         state = node.state
-        if node.phase is not Phase.RUNNING or state is None:
+        if node.phase is not RUNNING or state is None:
             self._armed[axis] = False
             return cia301.DISABLE_VOLTAGE
-        if state is DriveState.FAULT:
+        if state is _FAULT:
             # An enable bit that outlives a fault enables nothing: it has to be seen clear first.
             self._armed[axis] = False
             return cia301.FAULT_RESET if self._resetting(tick) else cia301.DISABLE_VOLTAGE
         if not wanted:
             self._armed[axis] = True
-        elif self._armed[axis] and state in (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED):
+        elif self._armed[axis] and state in (_SWITCHED_ON, _ENABLED):
             return cia301.ENABLE_OPERATION
         return _CLIMB.get(state, cia301.DISABLE_VOLTAGE)

@@ -18,7 +18,7 @@ Time is counted in ticks (calls of `HostProtocol.encode`): the master has no clo
 
 from collections.abc import Sequence
 from enum import Enum, auto
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.eds.reader import object_name
 from drivers.families.cia402 import cia301
@@ -44,6 +44,10 @@ class Phase(Enum):
     START = auto()
     RUNNING = auto()
     REFUSED = auto()
+
+
+_START: Final = Phase.START  # what every answer asks for: a member costs 300 instructions where it is found by name
+RUNNING: Final = Phase.RUNNING
 
 
 class Answer(NamedTuple):
@@ -115,8 +119,8 @@ class NodeMaster:
     def on_pdo(self) -> None:
         """A TPDO: it lives, and runs where it was told to."""
         self._heard_tick = self._tick
-        if self.phase is Phase.START:
-            self._enter(Phase.RUNNING)
+        if self.phase is _START:
+            self._enter(RUNNING)
 
     def on_mode(self, mode: int) -> None:
         """The mode in a TPDO (6061h)."""

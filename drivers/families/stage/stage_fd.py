@@ -68,7 +68,7 @@ _feedback: Final[Callable[[bytes, int, int], tuple[int, int, int, int] | None]] 
 _command: Final[Callable[[int, Sequence[float], tuple[float, ...], int, int], bytes | None]] = (
     native.command if native else _plain_command
 )
-_answers: Final[Callable[[Sequence[Frame], int, int, int], bytes | None] | None] = native.answers if native else None
+_answers: Final[Callable[[Sequence[Frame], int, int, int], bytes] | None] = native.answers if native else None
 
 
 class _Layout(StageLayout):
@@ -97,11 +97,11 @@ class StageFdHost(_Layout):
         n_axes, rated_force = wiring.n_axes, wiring.rated_force
         self._rated = (*rated_force, *[0.0] * (MAX_AXES - n_axes))
 
-    def answers(self, frames: Sequence[Frame]) -> bytes | None:
-        """Where all of these are sound answers, as nearly always, six i64 of each: the fields of the Sample that
-        `decode` makes of it, in their order, and its time of reception. None: ask `decode`.
+    def answers(self, frames: Sequence[Frame]) -> bytes:
+        """Of each of the first frames that is a sound answer, six i64: the fields of the Sample that `decode` makes of
+        it, in their order, and its time of reception. The frames behind those are `decode`'s.
         """
-        return None if _answers is None else _answers(frames, self._feedback_id, self.n_axes, EVERY_STATUS)
+        return b"" if _answers is None else _answers(frames, self._feedback_id, self.n_axes, EVERY_STATUS)
 
     def decode(self, frame: Frame) -> Sample | Reject:
         """Sample of a feedback frame; the stamp is the one nearest the frame's reception time, within 2^31 ns."""
