@@ -14,10 +14,11 @@ from hil.cycle.state_machine import State
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.inject.batch import Batch, inject
-from hil.studies.inject.equipment import grid, middle, read_positions, words
+from hil.studies.inject.equipment import assumed, grid, middle, read_positions, words
 from hil.studies.inject.judge import judged, quantile, wilson
 from hil.virtual.lockstep import LockstepRun
 from tests.support.cells import RIG, RIGS, equipped
+from tests.support.paths import ROOT
 from tests.support.records import kept
 
 
@@ -172,6 +173,24 @@ def test_the_same_cells_are_compared_by_every_z_law(tmp_path: Path, capsys: pyte
     assert felt < 30e-6
     assert rows["visual"]["further"][0] > 3 * felt
     assert "4 mm/s" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_the_sensors_of_a_rig_with_its_own_equipment_measure_the_dish(tmp_path: Path) -> None:
+    """The rig file of docs/inject.md: its force sensor measured nothing, and each cell was no_cell."""
+    page = (ROOT / "docs" / "inject.md").read_text(encoding="utf-8")
+    own = page[page.index("```toml") :].split("```")[1].removeprefix("toml")
+    plain = RIG.read_text(encoding="utf-8")
+    path = tmp_path / "my-stage.toml"
+    path.write_text(plain[: plain.index("[task]")] + own, encoding="utf-8")
+    rig = load_rig(path)
+    dish = words(rig, [middle(rig)], 1, 0.0, fd=True)
+    (cell,) = inject(load_rig(path, dish), tmp_path).cells
+    assert cell.wrong_pulses == 0
+    assert cell.result.verdict is Verdict.UNKNOWN  # nothing shows the bolus
+    assert cell.result.evidence == "nothing shows the bolus"
+    assert 0.3e-3 < cell.result.pierced_force < 1.4e-3
+    assert "plant.sensors is empty" in assumed(rig)
 
 
 def test_a_cell_beyond_the_travel_is_refused_by_its_file_or_option(tmp_path: Path) -> None:

@@ -27,9 +27,9 @@ from hil.studies.inject.batch import inject as inject_batch
 from hil.studies.inject.equipment import (
     MOST_CELLS,
     Positions,
+    assumed,
     check_within,
     grid,
-    has_equipment,
     middle,
     read_angles,
     read_positions,
@@ -50,7 +50,7 @@ class Plan(NamedTuple):
     layout: HostProtocol
     places: Positions
     done: list[Injected]
-    assumed: bool
+    assumed: str
 
 
 def inject(
@@ -146,7 +146,7 @@ def inject(
         return
     plan = planned({})
     if plan.assumed:
-        console.print("The rig names no motion for cells: with the reference sensors, valve and dish, all assumed.")
+        console.print(plan.assumed)
     if done:
         console.print(f"{len(done)} cells are over; it goes on with cell {len(done) + 1}.")
     sheet = Sheet(Path(csv_target), places, done) if csv_target else None
@@ -215,7 +215,7 @@ def _planned(
     if refused:
         raise RigError(refused)
     layout = refuse_unschedulable(changed, rig_file.parent, layout)
-    return Plan(changed, rig_file, chosen, layout, places, done, not has_equipment(rig))
+    return Plan(changed, rig_file, chosen, layout, places, done, assumed(rig))
 
 
 def _hold_against_specification(planned: Callable[..., Plan], cells: int, json_target: str, console: Console) -> None:

@@ -18,6 +18,7 @@ Positions = list[tuple[float, float]]
 
 MOST_CELLS = 2000
 TOP_SHARE = 0.2  # of the travel, above its lower end: where the tops of the cells are
+FLOW = 20.0  # boluses a second: one in a pulse of 50 ms
 ABOVE = 0.8e-3  # m from there to the safe height
 _SLOW = "silent_ticks=2000, stuck_ticks=0"  # of the camera; the motion itself looks at the age of its frames
 _SENSORS = {
@@ -28,6 +29,7 @@ _SENSORS = {
 }
 _DIMPLE = f'{{can_id=0x3F5, unit="m", scale=1e-9, noise=7e-7, range=[-0.5, 0.5], {_SLOW}}}'
 _MEASURED = {"shift": "cell_shift", "tip": "tip_error", "bolus": "bolus"}
+_CAMERA = {**_MEASURED, "dimple": "dimple"}
 _NAMES = 'force="force", shift="shift", tip="tip", bolus="bolus", valve="valve"'
 
 
@@ -100,6 +102,25 @@ def has_equipment(rig: RigConfig) -> bool:
     return rig.motion.name == "cells"
 
 
+def assumed(rig: RigConfig) -> str:
+    """What `words` adds that the rig does not say, for people; empty where it says all."""
+    if not has_equipment(rig):
+        return "The rig names no motion for cells: with the reference sensors, valve and dish, all assumed."
+    if not rig.plant.sensors:
+        return "plant.sensors is empty: the emulated sensors measure the reference dish, which is assumed."
+    return ""
+
+
+def _measures(axis: str, force: str, camera: Mapping[str, str]) -> str:
+    """The override that says what the emulated sensors measure. camera: by name of the sensor."""
+    frames = [
+        f"{{sensor='{name}', measures='{what}', axis='{axis}', frame_s=0.0333333333, delay=0.05}}"
+        for name, what in camera.items()
+    ]
+    felt = f"{{sensor='{force}', measures='tip_force', axis='{axis}'}}"
+    return f"plant.sensors=[{', '.join([felt, *frames])}]"
+
+
 def words(
     rig: RigConfig, places: Positions, seed: int, share: float, anomalies: Sequence[str] = (), *, fd: bool,
     how: Mapping[str, Any] | None = None, angles: Sequence[float] = (),
@@ -121,23 +142,22 @@ def words(
     found = ["plant.cells=[]", *(f"plant.dish.{key}={json.dumps(value)}" for key, value in dish.items())]
     if has_equipment(rig):
         more = [f"motion.parameters.{key}={json.dumps(value)}" for key, value in (how or {}).items()]
+        if not rig.plant.sensors:
+            camera = {own[role]: what for role, what in _CAMERA.items() if own.get(role)}
+            more += [_measures(own.get("along", "z"), own.get("force", "force"), camera), f"plant.dish.flow={FLOW}"]
         return [*found, f"motion.parameters.cells={json.dumps(cells)}", *more]
     seen, sensors, given = dict(_MEASURED), dict(_SENSORS), dict(how or {})
     if given.get("z_law") == "visual":
         given["dimple"] = seen["dimple"] = "dimple"
         sensors["dimple"] = _DIMPLE
-    measured = [
-        f"{{sensor='{name}', measures='{what}', axis='z', frame_s=0.0333333333, delay=0.05}}"
-        for name, what in seen.items()
-    ]
     more = [f", {key}={json.dumps(value)}" for key, value in given.items()]
     return [
         *found,
         "task.kind=hold",
-        "plant.dish.flow=20.0",
+        f"plant.dish.flow={FLOW}",
         *(f"sensors.{name}={table}" for name, table in sensors.items()),
         *(f"sensors.{name}.fd={str(fd).lower()}" for name in sensors),
-        f"plant.sensors=[{{sensor='force', measures='tip_force', axis='z'}}, {', '.join(measured)}]",
+        _measures("z", "force", seen),
         "outputs.valve={can_id=0x3E0, bit=0, longest_s=0.2}",
         "motion.name=cells",
         f"motion.parameters={{cells={json.dumps(cells)}, safe={top + ABOVE}, {_NAMES}{''.join(more)}}}",
