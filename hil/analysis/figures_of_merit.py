@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Figure = Literal["max_error", "rms_error", "plateau_error", "peak_force", "chatter"]
 
+NOT_SETTLED = "too short: not settled"  # of figures that hold the approach
+
 
 class Figures(TypedDict):
     """Of one axis, m and N (rad, N m). plateau_error: the median of |error|, what a constant disturbance leaves.

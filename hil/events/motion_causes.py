@@ -66,7 +66,8 @@ def _jumped(motion: Motion, model: AxisModel, period_s: float, axis: int) -> Cau
     action = f"check the encoder's cable and head; home the axis, {RESET}"
     if found.beyond > _SINGLE:
         return Cause(f"noise at the encoder or its cable: {found.beyond} steps that no force explains", action, axis)
-    text = f"encoder jump: a step of {found.worst[0]:.3g} in one tick, which no force explains"
+    counts = round(found.worst[0] / model.resolution)
+    text = f"encoder jump: a step of {counts} counts in one tick, which no force explains"
     return Cause(f"{text}: the encoder lost or won counts, or noise at its cable", action, axis)
 
 

@@ -80,7 +80,7 @@ def runs_in(folder: Path) -> list[dict[str, Any]]:
                 "law": facts["law"],
                 "seconds": facts["seconds"],
                 "ended": facts["outcome"] if facts["outcome"] == "unread" else run.ended,
-                "missing": bool(facts["missing"]) and not run.growing,
+                "lacks": run.lacks,
                 "axis": axis,
                 "error": error if axis else None,
                 "kind": kind,

@@ -38,7 +38,7 @@ from hil.rig.shipped import by_name
 from hil.runs import files as run_files
 from hil.runs.columns import Array, Columns, Difference, Event, Summary, seconds_of
 from hil.runs.rigs import NO_CHANGES, Overrides, Rig, load_rig, override_words
-from hil.runs.summary import RunData, steady_from
+from hil.runs.summary import RunData, steady_window
 from hil.runs.summary import load_run as read_run
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.codec import PER_AXIS, PER_TICK
@@ -148,12 +148,12 @@ class Run:
         return sorted(found)
 
     def summary(self) -> Summary:
-        """Figures of the steady window: keys rig, law, ticks, seconds, final_state, faults, steady_from_s, and per axis
-        in axes max_error, rms_error, plateau_error (m), peak_force and chatter (N). Of a run that ended in FAULT they
-        are those of the time before it.
+        """Figures of the steady window: keys rig, law, ticks, seconds, final_state, faults, steady_from_s, settled, and
+        per axis in axes max_error, rms_error, plateau_error (m), peak_force and chatter (N). Of a run that ended in
+        FAULT they are those of the time before it. settled: False where it was too short for approach and settling.
         """
         ticks = len(self.time)
-        first = steady_from(RunData(self.rig, {}, self.columns, pb.Counters(), None, 0, truncated=False))
+        first, settled = steady_window(RunData(self.rig, {}, self.columns, pb.Counters(), None, 0, truncated=False))
         return {
             "rig": self.rig.name,
             "law": self.rig.law.name,
@@ -162,6 +162,7 @@ class Run:
             "final_state": self.state[-1] if ticks else None,
             "faults": [event.text.removeprefix("fault ") for event in self.events if event.text.startswith("fault")],
             "steady_from_s": float(self.time[first]) if first < ticks else None,
+            "settled": settled,
             "axes": axis_statistics(self.axes, self.error[first:], self.force[first:]),
         }
 

@@ -40,7 +40,9 @@ class Difference(TypedDict):
 
 
 class Summary(TypedDict):
-    """Figures of a run. steady_from_s: where the steady window begins, None: nowhere; axes: figures there."""
+    """Figures of a run. steady_from_s: where the steady window begins, None: nowhere; axes: figures there. settled:
+    whether approach and settling were over then.
+    """
 
     rig: str
     law: str
@@ -49,4 +51,5 @@ class Summary(TypedDict):
     final_state: str | None
     faults: list[str]
     steady_from_s: float | None
+    settled: bool
     axes: dict[str, Figures]

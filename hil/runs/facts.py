@@ -28,6 +28,7 @@ def unread(problem: str) -> dict[str, Any]:
         "state": "",
         "fault": "",
         "missing": "",
+        "settled": True,
         "quota": 0,
         "axes": {},
     }
@@ -37,8 +38,8 @@ def facts_of(run: KeptRun) -> tuple[dict[str, Any], bool]:
     """(facts of the run, whether they hold as long as its files stay as they are). Never raises for its content.
 
     clock: live or virtual. seconds: s from first to last tick. state, fault: at its end. missing: lost ticks, in
-    words. quota: the rig's telemetry.record_quota, bytes. axes: by name kind (linear, rotary), rms_error and max_error
-    of the steady window, m (rad), NaN where there is none.
+    words. settled: whether the window of the figures is steady. quota: the rig's telemetry.record_quota, bytes. axes:
+    by name kind (linear, rotary), rms_error and max_error of that window, m (rad), NaN where there is none.
     """
     if run.problem:
         return unread(run.problem), False
@@ -71,6 +72,7 @@ def facts_of(run: KeptRun) -> tuple[dict[str, Any], bool]:
         "state": state,
         "fault": _fault_at_end(data),
         "missing": summary["recording"]["loss"],
+        "settled": summary["settled"],
         "quota": data.rig.telemetry.record_quota,
         "axes": axes,
     }, True

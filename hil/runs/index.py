@@ -15,7 +15,7 @@ from typing import Any
 
 from drivers.base.runtime import cache_folder, is_private
 
-FORMAT = 1  # of the facts and the table; another number, or another version of hil, reads the runs again
+FORMAT = 2  # of the facts and the table; another number, or another version of hil, reads the runs again
 _TABLE = """CREATE TABLE IF NOT EXISTS runs
     (folder BLOB, name TEXT, stamp TEXT, facts TEXT, PRIMARY KEY (folder, name)) WITHOUT ROWID"""
 _WAIT_S = 2.0  # for another process that writes to it

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hil.analysis.figures_of_merit import NOT_SETTLED
 from hil.runs.facts import facts_of
 from hil.runs.index import Index
 from hil.runs.kept import KeptRun, kept_runs
@@ -42,6 +43,12 @@ class ListedRun(NamedTuple):
         if self.growing:
             return "still recorded"
         return f"{self.facts['state']} {self.facts['fault'].lower()}".strip() or "-"
+
+    @property
+    def lacks(self) -> str:
+        """What its figures lack, in words."""
+        ticks = "ticks missing" if self.facts["missing"] and not self.growing else ""
+        return ", ".join(filter(None, (ticks, "" if self.facts["settled"] else NOT_SETTLED)))
 
     def _axes(self, axis: str, kind: str | None) -> list[tuple[str, dict[str, Any]]]:
         return [

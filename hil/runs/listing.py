@@ -209,8 +209,7 @@ def _row(run: ListedRun) -> tuple[str, ...]:
         return name, _one_line(f"not read: {facts['problem']}{_said(run)}")
     axis, error, kind = run.worst
     accuracy = f"{axis} {metres(error, kind)}" if axis else "-"
-    lacking = "ticks missing" if facts["missing"] and not run.growing else ""
-    remark = ", ".join(part for part in (lacking, _remark(run.note)) if part)
+    remark = ", ".join(part for part in (run.lacks, _remark(run.note)) if part)
     cells = (name, facts["rig"], facts["law"], f"{facts['seconds']:.1f} s", run.ended, accuracy, remark)
     return tuple(map(_one_line, cells))
 

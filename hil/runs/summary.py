@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from hil.analysis.figures_of_merit import axis_statistics
+from hil.analysis.figures_of_merit import NOT_SETTLED, axis_statistics
 from hil.cli.marks import Mark
 from hil.cli.output import axis_table
 from hil.control.trajectories import make_trajectory
@@ -156,7 +156,7 @@ def _joined(batches: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
 def summarise(run: RunData) -> dict[str, Any]:
     """The figures of summary.json; SI units."""
     columns, counters = run.columns, run.counters
-    first = steady_from(run)
+    first, settled = steady_window(run)
     produced = run.status.produced if run.status else len(columns["index"]) + run.lost
     sent, dropped = (run.status.sent, run.status.dropped) if run.status else (len(columns["index"]), run.lost)
     ticks = len(columns["index"])
@@ -171,6 +171,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "final_state": State(int(columns["state"][-1])).name if ticks else None,
         "faults": list(_faults(columns["fault"])),
         "latched": run.latched.document if run.latched else None,
+        "settled": settled,
         "steady_from_tick": first,
         "steady_from_s": float(seconds_of(columns)[first]) if ticks else 0.0,
         "axes": axis_statistics(run.rig.axis_names, run.error[first:], run.force[first:]),
@@ -215,8 +216,9 @@ def _lateness(lateness: NDArray[np.float64]) -> dict[str, float]:
     return {"p50": p50, "p99": p99, "p999": p999, "max": float(lateness.max())}
 
 
-def steady_from(run: RunData) -> int:
-    """First tick of the steady window: after the approach and settling, or the last half of a task too short for that.
+def steady_window(run: RunData) -> tuple[int, bool]:
+    """(first tick of the steady window, whether approach and settling were over then): of a task too short for that its
+    last half, which is not steady.
 
     How long the approach is depends on where the axes stood when the task began. Goals are no task.
     """
@@ -225,18 +227,19 @@ def steady_from(run: RunData) -> int:
     task = np.where((columns["state"] == int(State.ACTIVE)) & np.logical_not(of_goals), columns["task_ns"], -1)
     places = np.flatnonzero(task >= 0)
     if not places.size:
-        return 0
+        return 0, True
     start = columns["position"][places[0]]
     motion = make_trajectory(rig.task, rig.axis_names, start, rig.period_ns, rig.counts)
     steady = np.flatnonzero(task >= motion.steady_from_ns)
-    return int(steady[0] if steady.size else places[len(places) // 2])
+    return int(steady[0] if steady.size else places[len(places) // 2]), bool(steady.size)
 
 
 def show(summary: dict[str, Any], rig: RigConfig, console: Console) -> None:
     """The figures as tables for people."""
     clock = summary.get("clock", "live")
     run = f"{rig.name}, {rig.law.name}, {rig.rate_hz:g} Hz, {summary['seconds']:.1f} s {clock}"
-    title = f"{run} (following error as measured, from {summary['steady_from_s']:.1f} s on)"
+    early = "" if summary["settled"] else f"; {NOT_SETTLED}"
+    title = f"{run} (following error as measured, from {summary['steady_from_s']:.1f} s on{early})"
     console.print(axis_table(rig, summary["axes"], title))
     table = Table.grid(padding=(0, 2))
     late, missed = summary["lateness"], summary["missed"]

@@ -7,14 +7,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from hil.analysis.figures_of_merit import Figure
+from hil.analysis.figures_of_merit import NOT_SETTLED, Figure
 from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.options import JsonTarget
 from hil.cli.output import drawable, metres, write_json
+from hil.events.table import Kind
 from hil.rig.difference import rig_differences
 from hil.runs.api import EXPORTS, Run, load_run
 from hil.runs.baseline import document_of, lines, losses
@@ -86,14 +88,15 @@ def diff(
 
 def differences(first: Run, second: Run) -> dict[str, Any]:
     """Keys: same (every tick is the same, as far as Run.compare looks), ticks [2], rig (lines), final_state [2],
-    events_gone and events_new (texts). Further keys: accuracy (lines: where the second is beyond what the first was
-    like, with axis, instant and signature), and per axis in axes: largest (as Run.compare), and each figure [2].
+    events_gone and events_new (texts), both (ticks in which both follow something), settled [2]. Further keys: accuracy
+    (lines: where the second is beyond what the first was like, with axis, instant and signature), and per axis in axes:
+    largest (as Run.compare), and each figure [2].
 
     Raises ValueError where the runs have other axes.
     """
     largest = first.compare(second)
     summaries = first.summary(), second.summary()
-    texts = [[event.text for event in run.events] for run in (first, second)]
+    texts = [_told(run) for run in (first, second)]
     axes = {
         name: {"largest": row} | {key: [summary["axes"][name][key] for summary in summaries] for key in _FIGURES}
         for name, row in largest.items()
@@ -107,9 +110,23 @@ def differences(first: Run, second: Run) -> dict[str, Any]:
         "final_state": [summary["final_state"] for summary in summaries],
         "events_gone": [text for text in texts[0] if text not in texts[1]],
         "events_new": [text for text in texts[1] if text not in texts[0]],
+        "both": _both(first, second),
+        "settled": [summary["settled"] for summary in summaries],
         "axes": axes,
         "accuracy": lines(second, losses(second, document_of(first))),
     }
+
+
+def _told(run: Run) -> list[str]:
+    """Its changes of state, its faults, and where its accuracy was lost."""
+    lost = [f"accuracy lost: {event.name} on {event.axis}" for event in run.log if event.kind is Kind.ACCURACY_LOST]
+    return [*(event.text for event in run.events), *lost]
+
+
+def _both(first: Run, second: Run) -> int:
+    """Ticks in which both follow something on any axis."""
+    n = min(len(first.time), len(second.time))
+    return int(np.isfinite(first.error[:n] - second.error[:n]).any(axis=1).sum())
 
 
 def _show(console: Console, run: Run, found: dict[str, Any]) -> None:
@@ -134,6 +151,11 @@ def _show(console: Console, run: Run, found: dict[str, Any]) -> None:
         parts = (f"{key} {_quantity(value, key, kind)}" for key, value in row["largest"].items())
         console.print(f"{name}, tick by tick, at most: {', '.join(parts)}", highlight=False)
     ticks, states = found["ticks"], found["final_state"]
+    for which, settled in zip(("first", "second"), found["settled"], strict=True):
+        if not settled:
+            console.print(f"figures of the {which} run: {NOT_SETTLED}", highlight=False)
+    if found["both"] < max(ticks):
+        console.print(f"setpoint and error: of the {found['both']} ticks in which both follow a task", highlight=False)
     console.print(f"{ticks[0]} and {ticks[1]} ticks; ended {states[0]} and {states[1]}", highlight=False)
     console.print("the same, tick by tick" if found["same"] else "they differ")
 

@@ -42,7 +42,7 @@ class Window:
         if not len(records):
             return
         errors = np.abs(records["following_error"][:, : self._n_axes])
-        errors[~followed(records)] = 0.0
+        errors[~followed(records)] = np.nan
         self._lateness.append(records["now_ns"] - records["scheduled_ns"])
         self._errors.append(errors)
         self._held += len(records)
@@ -86,7 +86,8 @@ class Window:
         status.force.extend(last["force"][:n].tolist())
         status.drive_status.extend(last["drive_status"][:n].tolist())
         status.answer_age.extend((last["age_ticks"][:n] * (status.period_ns * 1e-9)).tolist())
-        status.max_error.extend(np.max([batch.max(axis=0) for batch in self._errors], axis=0).tolist())
+        largest = [np.fmax.reduce(batch) for batch in self._errors]
+        status.max_error.extend(np.fmax.reduce(largest).tolist())
         lateness = np.concatenate(self._lateness) * 1e-9
         status.lateness_p50, status.lateness_p99 = np.percentile(lateness, (50, 99)).tolist()
         status.lateness_max = float(lateness.max())

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from hil.analysis.figures_of_merit import NOT_SETTLED
 from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import JsonTarget, LawOfRun, Overrides, ReadRig, RigFile, shipped_scenario, with_law
 from hil.cli.output import axis_table, drawable, print_plant_notes, write_json
@@ -152,7 +153,8 @@ def _recorder(path: Path | None, config: RigConfig, rig: Path, baseline: dict[st
 
 def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture: Path | None) -> None:
     run = f"{report.rig}, {report.law}, {report.rate_hz:g} Hz, {report.ticks} ticks"
-    title = f"{run}, steady from {report.steady_from_s:.3f} s"
+    begins = f"from {report.steady_from_s:.3f} s"
+    title = f"{run}, steady {begins}" if report.settled else f"{run}, {begins}; {NOT_SETTLED}"
     console.print(axis_table(config, report.axes, title))
     faults = ", ".join(f"{name} x{count}" for name, count in report.faults.items()) or "none"
     console.print(f"faults: {faults}; ended {report.state}; {report.realtime_factor:.1f} times real time")

@@ -5,6 +5,8 @@ from typing import Any
 
 from rich.console import Console
 
+from hil.events.table import Kind
+
 
 def report_document(report: Any) -> dict[str, Any]:
     """A report as JSON has it: its events as objects with names."""
@@ -14,6 +16,9 @@ def report_document(report: Any) -> dict[str, Any]:
 
 
 def show_latched(report: Any, console: Console) -> None:
-    """The fault that a run ended with, if it did."""
+    """Where accuracy was lost, and the fault that a run ended with, if it did."""
+    for event in report.events:
+        if event.kind is Kind.ACCURACY_LOST:
+            console.print(event.line, style="yellow", markup=False, highlight=False, soft_wrap=True)
     if report.latched:
         console.print(report.latched.line, style="red", markup=False, highlight=False, soft_wrap=True)

@@ -31,6 +31,7 @@ class SimReport:
     ticks: int
     realtime_factor: float
     steady_from_s: float
+    settled: bool  # whether approach and settling were over then, and a set-point still followed
     axes: dict[str, Figures]
     state: str
     faults: dict[str, int]
@@ -91,6 +92,7 @@ def simulate(
         ticks=ticks,
         realtime_factor=seconds / elapsed,
         steady_from_s=first * rig.period_ns * 1e-9,
+        settled=first >= _steady_due(run) and bool(np.isfinite(traces.error[first:]).any()),
         axes=axis_statistics(rig.axis_names, traces.error[first:], traces.force[first:]),
         state=run.cycle.state.name,
         faults=_faults_of(run),
@@ -117,11 +119,15 @@ def steady_from(run: LockstepRun, ticks: int) -> int:
     """First tick of the steady window: after the task's approach and settling, or the last half of a run too short for
     that.
     """
+    due = _steady_due(run)
+    return due if due < ticks else (run.activated_at + ticks) // 2
+
+
+def _steady_due(run: LockstepRun) -> int:
     trajectory = run.cycle.setpoints.trajectory
     if run.activated_at < 0 or trajectory is None:
         return 0
-    first = run.activated_at + 2 + trajectory.steady_from_ns // run.rig.period_ns
-    return int(first) if first < ticks else (run.activated_at + ticks) // 2
+    return int(run.activated_at + 2 + trajectory.steady_from_ns // run.rig.period_ns)
 
 
 class Traces:

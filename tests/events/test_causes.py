@@ -175,7 +175,7 @@ def test_an_axis_that_sinks_by_no_more_than_its_weight_has_a_weak_drive_or_is_pu
 
 def test_one_step_is_a_jump_and_steps_to_and_fro_are_noise() -> None:
     jumped = leaving(np.full(3, 4e-4), force=0.0)
-    assert jumped.cause.startswith("encoder jump: a step of 0.0004 in one tick")
+    assert jumped.cause.startswith("encoder jump: a step of 80000 counts in one tick")
     noisy = leaving(4e-4 * (np.arange(20) % 2), force=0.0)
     assert noisy.cause.startswith("noise at the encoder or its cable")
 

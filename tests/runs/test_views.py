@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import build_app
+from hil.events.table import Kind
 from hil.runs.report import MOST_EVENTS, Story, report_page
 from hil.runs.views import differences
+from hil.telemetry.event_log import own_event
 from tests.support.paths import RIGS
 
 PAPER = RIGS / "paper.toml"
@@ -204,3 +206,16 @@ def test_a_diff_says_what_was_changed_and_what_came_of_it(folder: Path, tmp_path
     assert x["largest"]["force"] > 0.0
     assert x["peak_force"][0] != x["peak_force"][1]
     assert document["final_state"] == ["ACTIVE", "ACTIVE"]
+    assert document["settled"] == [True, True]
+    assert 300 < document["both"] < 400  # the axes are enabled first
+    assert f"of the {document['both']} ticks in which both follow a task" in text
+
+
+def test_a_diff_tells_where_accuracy_was_lost_and_that_a_run_was_too_short(folder: Path, tmp_path: Path) -> None:
+    early = hil.simulate(PAPER, 0.2, overrides=QUICK)
+    whole = hil.load_run(folder)
+    early.log.append(own_event(Kind.ACCURACY_LOST, "noise", 1)._replace(axis="x"))
+    found = differences(whole, early)
+    assert found["settled"] == [True, False]
+    assert "accuracy lost: noise on x" in found["events_new"]
+    assert not early.summary()["settled"]

@@ -1,11 +1,16 @@
 """`hil sim` leaves a folder as a demo does, which other commands take as a run."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner, Result
 
 from hil.cli.app import build_app
+from hil.events.table import Kind
+from hil.telemetry.event_log import own_event
+from hil.virtual.report_text import show_latched
 
 QUICK = ("--seconds", "0.4", "--set", "task.kind=hold")
 
@@ -33,6 +38,18 @@ def test_a_run_is_kept_and_listed(here: Path, words: tuple[str, ...], files: lis
     assert f"kept in runs/{folder.name}/" in done.output
     assert sorted(path.name for path in folder.iterdir()) == files
     assert f"{folder.name}  paper  pd-feedforward  0.4 s" in command("runs").output
+
+
+def test_figures_of_a_run_that_was_too_short_to_settle_say_so(here: Path) -> None:
+    assert "too short: not settled" in " ".join(command("sim", "paper", "--seconds", "0.4").output.split())
+    assert "too short: not settled" in command("runs").output
+
+
+def test_lost_accuracy_is_shown_beside_a_run_that_latched_nothing() -> None:
+    lost, seen = (own_event(kind, "noise", 1) for kind in (Kind.ACCURACY_LOST, Kind.TICK_LATE))
+    console = Console(record=True, width=200)
+    show_latched(SimpleNamespace(events=[lost, seen], latched=None), console)
+    assert console.export_text().splitlines() == [lost.line]
 
 
 @pytest.mark.parametrize("words", [("--no-keep",), ("--record", "mine.mcap")])

@@ -10,8 +10,11 @@ const SHOWN = 200;
 export const headline = (event) => `${event.kind.toLowerCase().replaceAll("_", " ")}: ${event.name}${event.axis ? ` on ${event.axis}` : ""}`;
 
 /** What was measured and against which limit; empty where nothing was. */
-export const measured = (event) => (event.value === null ? "" : `${event.measured || "measured"} ${short(event.value, event.unit)}` +
-  (event.limit === null ? "" : `, limit ${short(event.limit, event.unit)}`));
+export const measured = (event) => {
+  if (event.value === null) return "";
+  if (event.limit === null) return event.measured; // so or not: no limit to it
+  return `${event.measured || "measured"} ${short(event.value, event.unit)}, limit ${short(event.limit, event.unit)}`;
+};
 
 export function eventNode(event, feed, { tell, may }, active = false) {
   const times = event.times > 1 ? ` (${event.times} times${event.since ? ` since ${clock(event.since)}` : ""})` : "";

@@ -83,9 +83,9 @@ export class Now {
   look() {
     const { feed } = this, { status, run } = feed;
     for (const card of this.cards) card.look();
-    const grave = (event) => !["NOTICE", "INFO"].includes(event.severity) && !ALL_THE_TIME.includes(event.kind);
-    const last = feed.events.findLast(grave), told = status.latched?.number === last?.number && feed.fault;
-    this.warned.hidden = !last || Boolean(told);
+    const grave = (event) => !["NOTICE", "INFO"].includes(event.severity) && ![...ALL_THE_TIME, "STATE"].includes(event.kind);
+    const last = feed.events.findLast(grave);
+    this.warned.hidden = !last || Boolean(feed.fault); // which stands above, with all of it
     if (last) say(this.warned, `${clock(last.wall)} ${headline(last)}: cause and next step in Events`);
     const late = status.late ? `late p99 ${short(status.late[1], "s")}, max ${short(status.late[2], "s")}` : "";
     const notes = [

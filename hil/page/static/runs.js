@@ -28,7 +28,7 @@ export class Runs {
     const word = this.filter.value.toLowerCase();
     const rows = (this.runs ?? []).map((run) => [
       run.run, run.rig, run.law, run.seconds ? seconds(run.seconds) : "-", run.ended,
-      run.axis ? `${run.axis} ${short(run.error, run.kind === "linear" ? "m" : "rad")}` : "-", [run.missing ? "ticks missing" : "", run.note].filter(Boolean).join(", "),
+      run.axis ? `${run.axis} ${short(run.error, run.kind === "linear" ? "m" : "rad")}` : "-", [run.lacks, run.note].filter(Boolean).join(", "),
     ]).filter((row) => row.join(" ").toLowerCase().includes(word));
     this.body.replaceChildren(...rows.map((row) => el("tr", {}, ...row.map((cell) => el("td", {}, cell)))));
     say(this.words, `${rows.length} of ${this.runs?.length ?? 0} runs in ${this.folder}/`);
