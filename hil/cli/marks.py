@@ -6,6 +6,7 @@ from typing import NamedTuple
 class Mark(NamedTuple):
     """An event over time. place: of its tick in the run's columns. label: short. line: all of it, as
     hil.events.event.Event.line has it. axis: its name, or empty for all. colour, style: as matplotlib names them.
+    worded: told in words, too.
     """
 
     place: int
@@ -14,4 +15,4 @@ class Mark(NamedTuple):
     axis: str
     colour: str
     style: str
-    latched: bool
+    worded: bool

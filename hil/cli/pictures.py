@@ -17,7 +17,7 @@ from hil.cli.marks import Mark
 from hil.rig.schema import RigConfig
 
 _BUCKETS = 1500  # per drawn line; each keeps its lowest and highest value, so that no peak is lost
-_LATCHED_SHOWN = 6
+_WORDED_SHOWN = 6
 UNITS = {"linear": ("mm", 1e3, "µm", 1e6, "N"), "rotary": ("mrad", 1e3, "µrad", 1e6, "N m")}
 STYLE: dict[Any, Any] = {
     "font.size": 8,
@@ -57,8 +57,8 @@ def tracking_picture(
 ) -> None:
     """One column per axis: position, error and force over time (s); below, where known, tick lateness (s, per tick).
 
-    Every mark is a line through the panels of its axis, those of latched faults in words below; a .png file holds all
-    of them as text, too (its Description).
+    Every mark is a line through the panels of its axis, those of latched faults and lost accuracy in words below; a
+    .png file holds all of them as text, too (its Description).
     """
     n_axes = len(rig.axes)
     rows = 3 + (lateness is not None)
@@ -74,7 +74,7 @@ def tracking_picture(
             _line(panel, rig, run.time, lateness * 1e6, "tick lateness, µs", "C4")
             _mark([panel], run.time, marks)
         figure.suptitle(f"{rig.name}: {rig.law.name} at {rig.rate_hz:g} Hz")
-        if words := _latched_words(marks, 40 * max(n_axes, 2)):
+        if words := _words(marks, 40 * max(n_axes, 2)):
             figure.supxlabel(words, x=0.01, ha="left", fontsize=7, color="red", family="monospace")
         told = {"Description": "\n".join(mark.line for mark in marks)} if path.suffix == ".png" and marks else None
         save_picture(figure, path, dpi=110, metadata=told)
@@ -105,18 +105,18 @@ def _mark(panels: Sequence[Axes], time: NDArray[np.float64], marks: Sequence[Mar
         at = float(time[min(mark.place, len(time) - 1)]) if len(time) else 0.0
         for panel in panels:
             panel.axvline(at, color=mark.colour, linestyle=mark.style, alpha=0.7)
-        if mark.latched:
+        if mark.worded:
             panels[0].annotate(
                 mark.label, (at, 1.0), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right",
                 color=mark.colour, fontsize=7,
             )  # fmt: skip
 
 
-def _latched_words(marks: Sequence[Mark], width: int) -> str:
-    """The first latched faults in words, lines of `width` characters."""
-    lines = [mark.line for mark in marks if mark.latched]
-    shown = [textwrap.fill(line, width, subsequent_indent="    ") for line in lines[:_LATCHED_SHOWN]]
-    more = [f"and {len(lines) - _LATCHED_SHOWN} more faults latched: hil events"] if len(lines) > _LATCHED_SHOWN else []
+def _words(marks: Sequence[Mark], width: int) -> str:
+    """The first of them that are told in words, lines of `width` characters."""
+    lines = [mark.line for mark in marks if mark.worded]
+    shown = [textwrap.fill(line, width, subsequent_indent="    ") for line in lines[:_WORDED_SHOWN]]
+    more = [f"and {len(lines) - _WORDED_SHOWN} more: hil events"] if len(lines) > _WORDED_SHOWN else []
     return "\n".join([*shown, *more])
 
 

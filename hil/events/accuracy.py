@@ -206,7 +206,8 @@ class _Judge:
         seen = self._most["step"] if known else np.inf
         position = in_step(axis["position"], axis["setpoint_velocity"], axis["stamp_ns"] * 1e-9, self._period_s)
         found = steps(self._axis, self._period_s, position, axis["force"], axis["setpoint_velocity"], seen)
-        beyond, before = found.beyond, self._step
+        shaken = "tremble" in self._told and self._beyond["tremble"]  # noise that was told steps, too
+        beyond, before = 0 if shaken else found.beyond, self._step
         self._step = None
         if beyond:
             self._forces.forget()

@@ -23,6 +23,7 @@ _STYLES = {
     Kind.TICKS_LOST: ("brown", ":"),
     Kind.RECORDS_LOST: ("brown", "--"),
 }
+_WORDED = (Kind.FAULT_LATCHED, Kind.ACCURACY_LOST)
 _GRAVITY = list(_STYLES)
 
 
@@ -34,6 +35,6 @@ def marks_of(events: Sequence[Event], index: NDArray[np.int64]) -> list[Mark]:
         shown = [shown[n] for n in sorted(kept)]
     places = np.searchsorted(index, [event.tick for event in shown]).tolist()
     return [
-        Mark(place, event.name, event.line, event.axis, *_STYLES[event.kind], event.kind is Kind.FAULT_LATCHED)
+        Mark(place, event.name, event.line, event.axis, *_STYLES[event.kind], event.kind in _WORDED)
         for place, event in zip(places, shown, strict=True)
     ]

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from hil.analysis.figures_of_merit import NOT_SETTLED
 from hil.cli.output import metres
 from hil.cli.pictures import Tracked, axis_svg
 from hil.rig.schema import RigConfig
@@ -50,7 +51,7 @@ def report_page(rig: RigConfig, run: Tracked, story: Story) -> str:
         f'<p class="bad">{text_html(story.latched)}</p>' if story.latched else "",
         f'<p class="bad">{text_html(story.failure)}</p>' if story.failure else "",
         table_html([], _verdict(story)),
-        "<h2>Steady window</h2>",
+        "<h2>Steady window</h2>" if story.summary["settled"] else f"<h2>Figures ({NOT_SETTLED})</h2>",
         table_html(
             ["axis", "max error", "RMS error", "plateau", "peak force", "chatter"], _figures(rig, story.summary)
         ),

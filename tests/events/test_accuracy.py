@@ -141,6 +141,13 @@ def test_noise_at_rest_is_told_as_noise_though_the_law_answers_it_with_a_force(a
     assert 6.02 < first.run_ns * 1e-9 <= 6.52
 
 
+def test_the_largest_steps_of_noise_that_was_told_are_no_jumps() -> None:
+    records, seconds = sound(), np.arange(TICKS) * 1e-3
+    noise(records, 0, seconds >= 6.02, seconds)
+    show(records, 0, records["position"][:, 0] + (np.arange(TICKS) == 6700) * 4000 * COUNT)  # its one outlier
+    assert [event.name for event in told(records)] == ["noise"]
+
+
 @pytest.mark.parametrize("change", [vibration, scale])
 def test_at_a_constant_speed_frequency_and_period_are_both_told(change: Change) -> None:
     records, seconds = sound(constant=True), np.arange(TICKS) * 1e-3

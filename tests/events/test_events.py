@@ -12,9 +12,11 @@ from hil.cli.exit_status import EXIT_FAULT
 from hil.cycle.fault_table import ROWS, Fault
 from hil.cycle.record import MAX_EVIDENCE, RECORD
 from hil.cycle.state_machine import State
+from hil.events.marks import marks_of
 from hil.events.storm import TOLD
 from hil.events.stream import EventStream
 from hil.events.table import KINDS, Kind
+from hil.telemetry.event_log import own_event
 from hil.virtual.replay import replay_run
 from tests.support.paths import RIGS, ROOT
 
@@ -70,3 +72,10 @@ def test_a_storm_is_bounded_and_loses_no_fault_uncounted() -> None:
     seen = [event for event in events if event.kind is Kind.FAULT_SEEN]
     assert sum(event.times for event in seen) == flagged * ticks // 2
     assert max(Counter((event.name, event.tick // 1000) for event in seen).values()) <= TOLD + 1
+
+
+def test_a_picture_tells_latched_faults_and_lost_accuracy_in_words() -> None:
+    kinds = (Kind.ACCURACY_LOST, Kind.FAULT_LATCHED, Kind.FAULT_SEEN, Kind.STATE)
+    events = [own_event(kind, kind.name, 0)._replace(tick=number) for number, kind in enumerate(kinds)]
+    marks = marks_of(events, np.arange(4))
+    assert [mark.label for mark in marks if mark.worded] == ["ACCURACY_LOST", "FAULT_LATCHED"]
