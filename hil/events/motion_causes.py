@@ -8,6 +8,7 @@ from hil.cycle.faults.row import RESET
 from hil.events.axis_model import AxisModel, Floats, steps
 from hil.events.ringing import ringing_hz
 
+RINGS: Final = "rings at"  # what a cause of that begins with
 FROZEN: Final = 20  # ticks of one and the same count, while the setpoint moves
 _HALTED: Final = 4  # ticks of one count after one that moved by _FAST counts: no axis stops within a tick
 _FAST: Final = 20.0
@@ -56,7 +57,7 @@ def ringing(motion: Motion, model: AxisModel | None, period_s: float, axis: int)
     if frequency is None:
         return None
     why = "a resonance that the model does not have, gains too high, or something shakes the stage"
-    return Cause(f"rings at {frequency:.0f} Hz: {why}", f"hil check, lower the gains, {RESET}", axis)
+    return Cause(f"{RINGS} {frequency:.0f} Hz: {why}", f"hil check, lower the gains, {RESET}", axis)
 
 
 def _jumped(motion: Motion, model: AxisModel, period_s: float, axis: int) -> Cause | None:

@@ -169,7 +169,7 @@ def _end(stage: Demo, summary: dict[str, Any] | None, signals: Signals, console:
     if signals.seen:
         sys.exit(128 + signals.seen)
     if summary and (latched := summary["latched"]):
-        ours = by_this_computer(latched["name"].upper(), latched["run_ns"], stage.events)
+        ours = by_this_computer(latched["name"].upper(), latched["cause"], latched["run_ns"], stage.events)
         if not ours or summary["clock"] == "virtual":
             sys.exit(EXIT_FAULT)
         console.print("this computer was too busy at the very end: the time was up before that stop was reset")

@@ -18,6 +18,7 @@ from drivers.protocols.base import DriveStatus
 from hil.cli.processes import Family
 from hil.cycle.axis_homing import HOMING_REQUIRED
 from hil.cycle.tick import CommandKind
+from hil.events.motion_causes import RINGS
 from hil.live.runtime_paths import DEMO_PREFIX, RuntimePaths, runtime_paths_in
 from hil.operate.monitor import EVENTS_KEPT, banner, drive_words, line, view
 from hil.rig.schema import RigConfig
@@ -111,10 +112,13 @@ def private_runtime() -> Path:
     return directory
 
 
-def by_this_computer(fault: str, run_ns: int, events: Iterable[pb_events.Event]) -> bool:
+def by_this_computer(fault: str, cause: str, run_ns: int, events: Iterable[pb_events.Event]) -> bool:
     """Whether a fault, at this time of the run, is a stall's: by its name, or because the loop was held up, or all
     axes were silent in one tick, within AFTER_NS before it. The emulated drives are one process of this computer, too.
+    cause: of its event; a loop that rings does so at every try.
     """
+    if cause.startswith(RINGS):
+        return False
     if fault not in UNSAMPLED:
         return fault in STALL_FAULTS
     return any(0 <= run_ns - event.run_ns <= AFTER_NS and _held_up(event) for event in events)
@@ -233,7 +237,8 @@ class Demo:
     @property
     def stalled(self) -> bool:
         """Whether this computer caused the fault that is latched."""
-        return by_this_computer(self.status.fault, self.status.latched.run_ns, self.events)
+        latched = self.status.latched
+        return by_this_computer(self.status.fault, latched.cause, latched.run_ns, self.events)
 
     def _where(self) -> str:
         status = self.status

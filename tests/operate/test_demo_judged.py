@@ -128,8 +128,9 @@ def test_a_stop_that_this_computer_caused_ends_a_demo_that_need_not_be_live(tmp_
 def test_what_a_loop_came_to_without_samples_is_not_told_as_the_stages(
     fault: str, before: pb_events.Event, ours: bool
 ) -> None:
-    assert by_this_computer(fault, 10_000_000_000, [before]) is ours
-    assert not by_this_computer("TRAVEL", 10_000_000_000, [before])
+    assert by_this_computer(fault, "", 10_000_000_000, [before]) is ours
+    assert not by_this_computer(fault, "rings at 234 Hz: a resonance", 10_000_000_000, [before])
+    assert not by_this_computer("TRAVEL", "", 10_000_000_000, [before])
 
 
 @pytest.mark.parametrize(("fault", "status"), [("RECEIVE_FLOOD", 0), ("FOLLOWING_ERROR", EXIT_FAULT)])
