@@ -382,3 +382,13 @@ def test_a_swing_of_just_the_limit_is_an_oscillation_and_one_below_is_none(times
     first = next((k for k, flagged in enumerate(shown) if flagged), -1)
     assert first == (30 if times == 1.0 else -1)  # three swings, the first of them from the middle
     assert set().union(*shown) == ({Fault.OSCILLATION} if times == 1.0 else set())
+
+
+@pytest.mark.requirement(id="SR-3.2")
+@pytest.mark.parametrize("axis", range(len(LIMITS)))
+def test_answers_that_differ_are_told_of_any_axis_the_first_one_included(axis: int) -> None:
+    bench = Bench()
+    bench.monitor.begin()
+    bench.inbox.differ_axis = axis
+    bench.monitor.check_samples(bench.inbox, enabled_seen=False)
+    assert [(found.fault, found.axis) for found in bench.monitor.evidence] == [(Fault.ANSWERS_DIFFER, axis)]
