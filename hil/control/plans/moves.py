@@ -16,6 +16,7 @@ from hil.control.plans.ramps import Ramp, add_ramp, stop_time, stop_way
 STEPS: Final = 24  # of a search
 NEAR: Final = 1e-13  # of the travel: no way at all
 CLOSE_S: Final = 1e-5  # of cruising left to do: near enough to the quickest
+SHORTEST: Final = 1e-6  # of the time to a knot: under way for less, no axis keeps its jerk
 TURNS: Final = 8  # ways to turn back that are tried
 
 
@@ -233,9 +234,10 @@ def _through(plan: AxisPlan, to: tuple[float, float, float], seconds: float, lim
 
 def under_way(way: float, speed: float, seconds: float) -> float:
     """How much of `seconds` a knot `way` m from rest, m/s there, takes: as much as a steady acceleration does, so that
-    nothing runs back first to have a longer way.
+    nothing runs back first to have a longer way. All of it where that is next to no time.
     """
-    return min(seconds, 2.0 * way / speed) if way * speed > 0.0 else seconds
+    takes = 2.0 * way / speed if way * speed > 0.0 else seconds
+    return takes if SHORTEST * seconds < takes < seconds else seconds
 
 
 def _set_off(plan: AxisPlan, to: tuple[float, float, float], seconds: float, limits: MotionLimits) -> float:

@@ -131,6 +131,14 @@ def test_a_knot_beyond_what_the_limits_allow_is_none(to: tuple[float, float, flo
     assert knot(0.0, 0.0, 0.0, to, 0.02, LIMITS) is None
 
 
+@pytest.mark.parametrize("way", [5e-324, 1e-300, 1e-80, 1e-30])
+@pytest.mark.parametrize("speed", [5e-324, 1e-300, 1e-9, 1.0, 9.0, 1e300])
+def test_a_knot_next_to_an_axis_at_rest_is_met_or_refused_and_divides_by_nothing(way: float, speed: float) -> None:
+    """The time under way was 1e-300 s, and its fifth power 0: a motion could end the control process so."""
+    plan = knot(0.0, 0.0, 0.0, (way, speed, 0.0), 1e-3, LIMITS)
+    assert plan is None or plan.keeps(LIMITS)
+
+
 def test_axes_arrive_together() -> None:
     states = [(0.0, 0.0, 0.0), (1e-3, 0.01, 0.5), (0.0, 0.0, 0.0)]
     plans = moves(states, [0.01, 0.002, 0.0], [LIMITS] * 3)

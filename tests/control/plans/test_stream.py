@@ -62,6 +62,12 @@ def test_a_knot_out_of_order_follows_none() -> None:
     assert not last.next(1 * H, 0.0, 0.0).after
 
 
+@pytest.mark.parametrize("place", [5e-324, 1e-300, 1e-170])
+def test_a_knot_next_to_one_at_rest_divides_by_nothing(place: float) -> None:
+    """The time between them was 1e-300 s, and its square 0."""
+    assert Knot(0).next(1_000_000, place, 1.0).after == pytest.approx(1e-3)
+
+
 def test_from_rest_an_axis_sets_off_as_late_as_a_steady_acceleration_allows() -> None:
     made = knot(0.0, 0.0, 0.0, (1e-4, 2e-3, 0.02), 0.26, LIMITS)
     assert made is not None
