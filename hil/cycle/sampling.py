@@ -156,7 +156,7 @@ class Sampling:
         acts_ns: Sequence[int] = (),
         wraps_ns: Sequence[int] = (),
         *,
-        one_command: bool,
+        one_command: bool = False,
         maps: Sequence[ErrorMap | None] = (),
     ) -> None:
         self._inputs = list(inputs)

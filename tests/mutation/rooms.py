@@ -132,7 +132,8 @@ ROOMS = {
     ),
     "admission": Room(
         ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
-        ("tests/rig", "tests/drivers/base/test_toml_file.py", "tests/drivers/base/test_text_file.py", "tests/drivers/bus_load",
+        ("tests/rig", "tests/drivers/base/test_toml_file.py", "tests/drivers/base/test_text_file.py",
+         "tests/drivers/bus_load",
          "tests/operate/test_new.py", _PAGES, "tests/control/test_path_files.py", "tests/control/test_task_paths.py",
          *_RUNS, "tests/drivers/protocols/test_mounting.py", "tests/drivers/families/cia402/test_drive_profiles.py"),
     ),

@@ -138,7 +138,7 @@ def test_only_a_stop_that_this_machine_caused_may_be_the_last_thing_of_a_demo(
     fault: str, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It is reset where there is time for it; where the time is up, it is said."""
-    latched = {"name": fault, "run_ns": 9_000_000_000}
+    latched = {"name": fault, "cause": "", "run_ns": 9_000_000_000}
     monkeypatch.setattr(Demo, "run", lambda *_: None)
     monkeypatch.setattr(demo_module, "Signals", lambda: SimpleNamespace(seen=0))
     monkeypatch.setattr(demo_module, "private_runtime", lambda: tmp_path / "runtime")
