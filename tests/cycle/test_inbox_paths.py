@@ -38,14 +38,17 @@ class AnyLayout:
 
 
 class ReadAtOnce(AnyLayout):
-    """One whose answers of a tick are read at once, as in C, where nothing else came."""
+    """One whose answers and own echoes are read at once, as in C, up to the first frame that is neither."""
 
-    def answers(self, frames: Sequence[Frame]) -> bytes | None:
+    def answers(self, frames: Sequence[Frame]) -> bytes:
         read = b""
         for frame in frames:
             one = self.decode(frame)
+            if one is Reject.OWN_ECHO:
+                read += pack("<6q", -1, 0, 0, 0, 0, 0)
+                continue
             if not isinstance(one, Sample):
-                return None
+                break
             read += pack("<6q", one.axis, one.position, one.status, one.sequence, one.stamp_ns, frame.timestamp_ns)
         return read
 
