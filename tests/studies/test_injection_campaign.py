@@ -11,6 +11,7 @@ import pytest
 
 from hil.control.motion.injection.verdict import Phase
 from hil.cycle.fault_table import Reaction
+from hil.cycle.guards import Guards
 from hil.cycle.output_gate import OutputGate
 from hil.cycle.state_machine import State
 from hil.cycle.supervisor import Supervisor
@@ -97,7 +98,7 @@ BREAKS: dict[str, tuple[Break, str, str]] = {
         lambda m: m.setattr(Supervisor, "tip", property(lambda self: "")), "stop line", "the words say ''"
     ),
     "a motion that fails is held inside": (
-        lambda m: m.setattr(Supervisor, "_inside", lambda self: False), "motion raises", "ended ACTIVE"
+        lambda m: m.setattr(Guards, "inside", lambda self: False), "motion raises", "ended ACTIVE"
     ),
 }  # fmt: skip
 
