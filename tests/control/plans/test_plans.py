@@ -136,6 +136,7 @@ def test_a_knot_beyond_what_the_limits_allow_is_none(to: tuple[float, float, flo
 def test_a_knot_next_to_an_axis_at_rest_is_met_or_refused_and_divides_by_nothing(way: float, speed: float) -> None:
     """The time under way was 1e-300 s, and its fifth power 0: a motion could end the control process so."""
     plan = knot(0.0, 0.0, 0.0, (way, speed, 0.0), 1e-3, LIMITS)
+    assert (plan is not None) == (speed < 1e-6)
     assert plan is None or plan.keeps(LIMITS)
 
 
