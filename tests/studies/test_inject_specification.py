@@ -13,6 +13,7 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.inject.batch import Batch, Injected, inject
 from hil.studies.inject.equipment import middle, words
+from hil.studies.inject.judge import judged
 from hil.studies.inject.specification import EACH, ROWS, Row, anomalies_of, ended, named
 from tests.support.paths import RIGS
 
@@ -83,3 +84,13 @@ def test_kinds_come_in_turn_so_that_a_small_batch_has_some_of_each() -> None:
 def test_a_batch_of_one_cell_holds_every_bar(name: str) -> None:
     batch = inject(rig_of(ROW[name], 1), Path(RIGS))
     assert [line.name for line in ROW[name].bars(batch, 1.4e-3) if not line.holds] == []
+
+
+@pytest.mark.long
+def test_a_membrane_too_weak_for_the_force_to_be_held_is_expected_to_burst() -> None:
+    row = ROW["0.4 mN held"]
+    batch = inject(rig_of(replace(row, how={"z_law": "hold", "hold_force": 7e-4}), 6), Path(RIGS))
+    assert {cell.expected for cell in batch.cells} == {Verdict.HELD, Verdict.BURST}
+    assert all(cell.right for cell in batch.cells)
+    peak = next(line for line in judged(batch, 1.4e-3, 7e-4) if line.name == "greatest force where one was held")
+    assert peak.holds

@@ -153,17 +153,21 @@ class _Run:
             self._asked += 1
             self._run.goals.append(Goal(self._asked, GoalKind.REQUEST, flags=request))
 
-    def _expected(self, anomaly: str) -> Verdict:
-        """Under `hold` a membrane that is whole at the end is as it should be."""
-        expected = EXPECTED[anomaly]
-        return Verdict.HELD if self._holds and expected in PIERCED_FIRST else expected
+    @staticmethod
+    def _held(cell: DishCell) -> Verdict:
+        """Under `hold` a membrane that stays whole is as it should be; a weak one gives way below that force."""
+        expected = EXPECTED[cell.anomaly]
+        if expected not in PIERCED_FIRST:
+            return expected
+        return Verdict.HELD if cell.pierced_ns is None else Verdict.BURST
 
     def _over(self, result: CellResult) -> None:
         dish = self._run.stage.dish
         assert dish is not None
-        cell = _beside(result, dish.cells[result.number], self._began * self._period)
+        truth = dish.cells[result.number]
+        cell = _beside(result, truth, self._began * self._period)
         if self._holds:
-            cell.expected = self._expected(cell.anomaly)
+            cell.expected = self._held(truth)
         self.batch.cells.append(cell)
         for follower in self._followers:
             follower.over(cell)

@@ -101,7 +101,8 @@ def _held(cells: Sequence[Injected]) -> Line | None:
 
 
 def _held_peak(cells: Sequence[Injected], hold_force: float) -> Line | None:
-    held = [cell.peak_force for cell in cells if not isnan(cell.result.held_rms)]
+    burst = [cell.peak_force for cell in cells if cell.result.verdict is Verdict.BURST]
+    held = burst + [cell.peak_force for cell in cells if not isnan(cell.result.held_rms)]
     if not held:
         return None
     most = max(held) / hold_force
