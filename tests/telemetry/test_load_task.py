@@ -147,7 +147,7 @@ def test_a_live_rig_takes_another_task_and_its_recording_replays(tmp_path: Path)
     path = tmp_path / "line.csv"
     path.write_text("time_s,x\n" + "".join(f"{0.5 * k},{1e-3 * (k % 2)}\n" for k in range(400)))
     runner, words = CliRunner(env={"COLUMNS": "300"}), [sys.executable, "-m", "hil", "sidecar", str(PAPER)]
-    windows = [word for axis in "xy" for word in ("--set", f"axes.{axis}.motion.window=1e-3")]  # friction holds them
+    windows = [word for axis in "xy" for word in ("--set", f"axes.{axis}.motion.window=3e-3")]  # friction holds them
     with emulated(), Control(*windows):
         sidecar = subprocess.Popen(
             [*words, "--listen", "tcp/127.0.0.1:7447", "--or-free-port", "--out", str(tmp_path)],
