@@ -139,7 +139,7 @@ def test_a_disk_that_fills_up_ends_a_live_batch_outside_the_cell_and_says_how_to
     assert len(over) >= len(cells) - 1, "the recording has what the file has not"
     if not told[-1].verdict:  # it was about to begin one: its row is written first
         assert told[-1].phase == "tare"
-        assert cells[-1] == ""
+        assert cells[-1] in ("", "none")  # as far as the row went in
     run = load_run(recording)
     safe = run.rig.motion.parameters["safe"]
     assert run.measured[-1, run.axes.index("z")] > safe - 1e-5, "the tip has left the last cell"

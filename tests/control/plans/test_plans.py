@@ -132,12 +132,14 @@ def test_a_knot_beyond_what_the_limits_allow_is_none(to: tuple[float, float, flo
 
 
 @pytest.mark.parametrize("way", [5e-324, 1e-300, 1e-80, 1e-30])
-@pytest.mark.parametrize("speed", [5e-324, 1e-300, 1e-9, 1.0, 9.0, 1e300])
-def test_a_knot_next_to_an_axis_at_rest_is_met_or_refused_and_divides_by_nothing(way: float, speed: float) -> None:
+def test_a_knot_next_to_an_axis_at_rest_is_met_or_refused_and_divides_by_nothing(way: float) -> None:
     """The time under way was 1e-300 s, and its fifth power 0: a motion could end the control process so."""
-    plan = knot(0.0, 0.0, 0.0, (way, speed, 0.0), 1e-3, LIMITS)
-    assert (plan is not None) == (speed < 1e-6)
-    assert plan is None or plan.keeps(LIMITS)
+    for speed in (5e-324, 1e-300, 1e-9):
+        plan = knot(0.0, 0.0, 0.0, (way, speed, 0.0), 1e-3, LIMITS)
+        assert plan is not None
+        assert plan.keeps(LIMITS)
+    for speed in (1.0, 9.0, 1e300):
+        assert knot(0.0, 0.0, 0.0, (way, speed, 0.0), 1e-3, LIMITS) is None
 
 
 def test_axes_arrive_together() -> None:
