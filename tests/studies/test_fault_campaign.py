@@ -369,6 +369,7 @@ def test_a_broken_safety_core_fails_the_campaign_and_it_says_where(
     assert says in outcome.why
 
 
+@pytest.mark.replaces_methods
 def test_over_cia402_a_master_that_disables_nobody_fails_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cell("operator stops", ON_THE_WAY, layout="cia402").passed
     outcome = cell(
