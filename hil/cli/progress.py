@@ -6,6 +6,8 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from hil.cli.console import plain_console
+
 LINE_S = 30.0  # between two lines of a log
 
 
@@ -16,7 +18,7 @@ class Steps:
     """
 
     def __init__(self, text: str, total: int, console: Console | None = None) -> None:
-        console = console or Console(emoji=False, stderr=True)
+        console = console or plain_console(stderr=True)
         columns = (
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
             TimeRemainingColumn(),

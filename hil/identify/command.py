@@ -60,7 +60,7 @@ def identify(
     Without --from and --live, the experiments run in virtual time against the emulated stage. Exit status 3: one ended
     in a fault; 4: a value of the model was refused; 69: a live one did not come to its end.
     """
-    from rich.console import Console
+    from hil.cli.console import plain_console
 
     config = load_rig(rig, overrides or ())
     names = named_axes(axes, config.axis_names)
@@ -70,7 +70,7 @@ def identify(
         raise typer.BadParameter("nothing moves with --from", param_hint="--live")
     if (out or agreed) and not live:
         raise typer.BadParameter("of --live alone", param_hint="--out" if out else "--yes")
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     if live:
         findings, evidence = _found_live(config, rig, names, _experiments(only), console, out, agreed=agreed)
     else:

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.analysis.positioning import LEAST_RUNS, LEAST_TARGETS, Positioning, positioning, targets
+from hil.cli.console import plain_console
 from hil.cli.options import JsonTarget, Overrides, named_axes
 from hil.cli.output import drawable, metres, print_plant_notes, writable, write_json
 from hil.cli.progress import Steps
@@ -134,7 +135,7 @@ def accuracy(
 
     Exit status 0: measured; 69: the rig does not run here, or left ACTIVE on the way; each with the reason.
     """
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     if live and overrides:
         raise typer.BadParameter("a running rig is as it is", param_hint="--set")
     if write and not reference:

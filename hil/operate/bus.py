@@ -11,7 +11,7 @@ from typing import Annotated
 
 import can
 import typer
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
@@ -26,6 +26,7 @@ from drivers.frame import REMOTE
 from drivers.protocols.base import LayoutError
 from drivers.protocols.dbc_codec import load_dbc
 from drivers.protocols.frame_text import Reader, layout_reader
+from hil.cli.console import plain_console
 from hil.operate.bus_options import BitrateOption, InterfaceOption, OptionsOption, stated_bus
 from hil.operate.bus_statistics import BusStatistics, identifier, kind, total
 from hil.rig.file import load_rig
@@ -69,7 +70,7 @@ def view(
     """Rate, load, age and last data per identifier, and errors; live in a terminal, once at the end otherwise."""
     config = _config(channel, interface, bitrate, options, rig)
     reader = _reader(rig, dbc, channel)
-    console = Console(emoji=False)
+    console = plain_console()
     with _until_stopped(seconds) as stopped, _open(config) as member:
         statistics = BusStatistics(config.bitrate, config.data_bitrate, time.monotonic())
         with Live(console=console, auto_refresh=False, transient=True) as live:

@@ -20,6 +20,7 @@ from hil.analysis.loop_corners import CornerTrial, corner_problems
 from hil.analysis.second_resonance import second_notes, second_resonances
 from hil.analysis.stability import StabilityReport, check_stability
 from hil.analysis.task_figures import excursion_notes, excursion_problems, excursions_json, task_figures
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
 from hil.control.law_registry import law_class
@@ -59,7 +60,7 @@ def check_rig(
     rig = load_rig(rig_file, overrides)
     layout = rig_layout(rig, rig_file.parent)
     analysis = analyse_rig(rig, layout)
-    console = Console(emoji=False, stderr=json_path == "-")
+    console = plain_console(stderr=json_path == "-")
     warnings = layout_warnings(layout)
     for note in [
         *encoder_notes(rig),

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import LawOfRun, Overrides, RigFile, with_law
 from hil.cli.output import print_plant_notes, write_json
@@ -131,7 +132,7 @@ def demo(
     chosen = (*with_law(overrides, law), *ALWAYS)
     config = load_rig(rig, chosen)
     signals = Signals()
-    console = Console(emoji=False, highlight=False)
+    console = plain_console(highlight=False)
     if not console.is_terminal:
         console.width = LOG_WIDTH
     scene = Scene(config, rig, chosen, private_runtime(), out or run_directory())

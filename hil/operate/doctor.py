@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from drivers.base.runtime import RuntimeDirectoryError, read_private, runtime_dir
 from drivers.base.text_file import words_of
+from hil.cli.console import plain_console
 from hil.cli.processes import worker_pool
 from hil.live.realtime import Grant, claim
 from hil.live.runtime_paths import known_sidecars
@@ -57,7 +57,7 @@ def doctor(
 
 
 def _print(findings: list[Finding]) -> None:
-    console = Console(emoji=False)
+    console = plain_console()
     table = Table(show_header=False, box=None, pad_edge=False)
     colours = {"ok": "green", "note": "yellow", "warn": "red"}
     for finding in findings:

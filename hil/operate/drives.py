@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -13,6 +12,7 @@ from drivers.families.cia402.config import Cia402Config
 from drivers.families.cia402.drive_plan import Axis, DrivePlan
 from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, plan_drives
 from drivers.protocols.common import MAX_AXES
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_FILE
 from hil.cli.options import JsonTarget, Overrides, any_rig
 from hil.cli.output import write_json
@@ -114,7 +114,7 @@ def as_document(plan: DrivePlan, eds: Eds) -> dict[str, Any]:
 
 def _show(plan: DrivePlan, eds: Eds) -> None:
     """The plan for people."""
-    console = Console(emoji=False, highlight=False)
+    console = plain_console(highlight=False)
     offers = ", ".join(plan.offers) or "not told by the file"
     console.print(f"{escape(plan.name)}: modes {offers}; {len(eds.entries)} objects")
     if plan.usable:

@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.protocols.base import UNHEALTHY, DriveStatus
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.output import metres
 from hil.operate.estop import stop_rig
@@ -177,7 +178,7 @@ def monitor(
     once: Annotated[bool, typer.Option("--once", help="print one snapshot and leave")] = False,
 ) -> None:
     """Watch a rig until Ctrl-C. Exit status 69: no sidecar answers (with --once)."""
-    console = Console(emoji=False)
+    console = plain_console()
     endpoint = connect or find_endpoint(rig)
     try:
         with RigClient(endpoint, key, rig or "*", Credentials(credentials) if credentials else None) as client:

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
+from hil.cli.console import plain_console
 from hil.cli.options import JsonTarget
 from hil.cli.output import write_json
 from hil.live.runtime_paths import known_sidecars
@@ -24,7 +24,7 @@ def rigs(json_target: JsonTarget = "") -> None:
     table = Table("rig", "axes", "rate", "drives", "law", box=None, padding=(0, 2, 0, 0))
     for name, rig in found.items():
         table.add_row(name, " ".join(rig["axes"]), f"{rig['rate_hz']:g} Hz", rig["drives"], rig["law"])
-    Console(emoji=False).print(table)
+    plain_console().print(table)
     print(f"Their files: {folder}. For your own stage: hil new my-stage.toml")
     for known in running:
         print(f"running: {known['name']} at {known['endpoint']}")

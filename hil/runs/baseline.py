@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_FILE
 from hil.cli.options import JsonTarget
 from hil.cli.output import metres, write_json
@@ -63,7 +63,7 @@ def _keep(named: Path, run: Run, json_target: str) -> None:
     if not any(document["axes"].values()):
         raise RecordingError(f"{named}: nothing was followed for long enough; a task must run for some seconds")
     path = write_baseline(run.rig, {"run": str(named.resolve()), "made_ns": time.time_ns(), **document})
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     console.print(_table(run.rig, document))
     console.print(f"kept in {path}", soft_wrap=True, markup=False, highlight=False)
     if json_target:

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.analysis.figures_of_merit import NOT_SETTLED, Figure
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.options import JsonTarget
 from hil.cli.output import drawable, metres, write_json
@@ -76,7 +77,7 @@ def diff(
     with _said():
         one, other = load_run(first), load_run(second)
         document = differences(one, other)
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     _show(console, one, document)
     if json_target:
         write_json(document, json_target)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hil.analysis.figures_of_merit import NOT_SETTLED
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import JsonTarget, LawOfRun, Overrides, ReadRig, RigFile, shipped_scenario, with_law
 from hil.cli.output import axis_table, drawable, print_plant_notes, write_json
@@ -76,7 +77,7 @@ def sim(
     if infeasible:
         raise RigError([f"{rig}: {problem}" for problem in infeasible])
     scenario = load_scenario(faults, config) if faults else None
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     print_plant_notes(console, config)
     for note in excursion_notes(config):
         console.print(note, soft_wrap=True, markup=False)

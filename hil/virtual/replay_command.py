@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from drivers.base.text_file import printable
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_FAULT
 from hil.cli.options import JsonTarget, Overrides
 from hil.cli.output import write_json
@@ -84,7 +85,7 @@ def replay(
     except (RecordingError, ConfinedError) as error:
         print(f"hil replay: {error}", file=sys.stderr)
         raise typer.Exit(1) from None
-    Console(emoji=False, stderr=json_target == "-").print(found.text, markup=False, soft_wrap=True, end="")
+    plain_console(stderr=json_target == "-").print(found.text, markup=False, soft_wrap=True, end="")
     if json_target:
         write_json(found.document, json_target)
     if found.status:
@@ -126,7 +127,7 @@ def _replayed(
 
     report = replay_run(recording, changes, permitted, prepare)
     text = io.StringIO()
-    _show_replay(report, Console(emoji=False, file=text, soft_wrap=True), recording)
+    _show_replay(report, plain_console(file=text, soft_wrap=True), recording)
     incomplete = report.different or not report.frames or report.loss
     status = 1 if incomplete else EXIT_FAULT if report.latched else 0
     return _Outcome(text.getvalue(), report_document(report), status)

@@ -1,5 +1,6 @@
 """What commands are to write: refused before a run where it cannot be written, and in one line where it then is not."""
 
+import io
 import os
 import re
 import resource
@@ -11,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import build_app
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.output import PICTURES
 from hil.live.runtime_paths import known_sidecars
@@ -166,7 +168,10 @@ def test_gains_found_by_who_may_write_the_rig_file_but_not_give_it_away_are_writ
 
 def test_no_console_makes_emoji_of_what_users_name() -> None:
     """`hil check --law ./mine.py:X` wrote "law ./mine.py❌ not accepted"."""
-    made = [line for path in (ROOT / "hil").rglob("*.py") for line in path.read_text().splitlines()]
-    made = [line for line in made if re.search(r"(?<!\w)Console\(", line)]
-    assert len(made) > 10
-    assert [line for line in made if "Console(emoji=False" not in line] == []
+    text = io.StringIO()
+    plain_console(file=text).print("law ./mine.py:x: not accepted")
+    assert text.getvalue() == "law ./mine.py:x: not accepted\n"
+    source = {path: path.read_text() for path in (ROOT / "hil").rglob("*.py")}
+    assert sum(words.count("plain_console(") for words in source.values()) > 10
+    made = [path for path, words in source.items() if re.search(r"(?<!\w)Console\(", words)]
+    assert made == [ROOT / "hil" / "cli" / "console.py"]

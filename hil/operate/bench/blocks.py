@@ -12,10 +12,10 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 from numpy.typing import ArrayLike
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from hil.cli.console import plain_console
 from hil.cli.output import writable, write_json
 from hil.operate.machine import machine_facts
 
@@ -66,7 +66,7 @@ def interleave(cases: Sequence[Case], blocks: int) -> list[Block]:
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        console=Console(emoji=False, stderr=True),
+        console=plain_console(stderr=True),
         transient=True,
     )
     with bar:
@@ -110,7 +110,7 @@ def publish(
 ) -> None:
     """Print tables, lines and the machine's facts; write `result` and the facts as JSON to a file, "-" for stdout."""
     facts = machine_facts()
-    console = Console(emoji=False, stderr=json_path == "-")
+    console = plain_console(stderr=json_path == "-")
     for table in tables:
         console.print(table)
     for line in lines:

@@ -16,7 +16,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from drivers.bus.any_bus import AnyPort, joined
@@ -24,6 +23,7 @@ from drivers.bus.port import PortError
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.sdo import Progress, Step, Transfer
 from drivers.frame import Frame
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.options import JsonTarget, Overrides, any_rig
 from hil.cli.output import write_json
@@ -206,4 +206,4 @@ def _show(document: dict[str, Any]) -> None:
     for line in document["lines"]:
         times = [f"{line[key]:.0f}" if key in line else "-" for key in ("p50_us", "p99_us", "max_us", "jitter_us")]
         table.add_row(line["name"], *times, f"{line['lost']} of {line['expected']}")
-    Console(emoji=False, highlight=False).print(table)
+    plain_console(highlight=False).print(table)

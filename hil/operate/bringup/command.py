@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 import typer
-from rich.console import Console
 
 from drivers.bus.port import PortError
 from drivers.config import BusConfig
 from drivers.protocols.frame_text import Reader, layout_reader
+from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.output import write_json
 from hil.live.stop_line import RigInUseError
@@ -60,7 +60,7 @@ def bring_up(
         if json_file != "-":
             if rig.bus.segments:
                 print(f"{part.bus.channel}: {', '.join(part.axis_names)}", flush=True)
-            show(report, reader, Console(emoji=False, highlight=False))
+            show(report, reader, plain_console(highlight=False))
 
     ready = [_bring_up(part, path, asked, tell, open_bus) for part in parts]
     if not all(ready):

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.text import Text
 
 from drivers.base.plugins import file_of
+from hil.cli.console import plain_console
 from hil.cli.options import JsonTarget, Overrides, ReadRig
 from hil.cli.output import drawable, write_json
 from hil.operate.check import check_rig
@@ -55,7 +55,7 @@ def check(
     if not names:
         check_rig(rig_file, overrides or (), json_path=json_path, picture=picture, measured=measured or (), frd=frd)
         return
-    console = Console(emoji=False, stderr=json_path == "-")
+    console = plain_console(stderr=json_path == "-")
     findings = []
     demand = Demand(margin, phase_margin, stride=stride)
     named = [f"{kind}.name={json.dumps(name)}" for kind, name in names.items()]

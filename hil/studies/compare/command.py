@@ -49,12 +49,13 @@ def compare(
     json_target: JsonTarget = "",
 ) -> None:
     """All control laws (or velocity estimators) on the same task; tables, a picture, and JSON."""
-    from rich.console import Console
     from rich.progress import track
+
+    from hil.cli.console import plain_console
 
     changes = list(overrides or ())
     rig = load_rig(rig_file, changes)
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     if not console.is_terminal:
         console.width = WIDTH + WIDTH_PER_AXIS * len(rig.axes)
     print_plant_notes(console, rig)

@@ -45,7 +45,7 @@ def evidence(
     json_target: JsonTarget = "",
 ) -> None:
     """Median and 95 % of a law's accuracies over drawn stages with presliding, lag, mode and noise."""
-    from rich.console import Console
+    from hil.cli.console import plain_console
 
     begun = time.monotonic()
     # The rig's own task may be one that does not repeat: what is tried are this command's.
@@ -62,7 +62,7 @@ def evidence(
     ]
     if not work:
         raise typer.BadParameter(f"--trials {trials}: they are {'; '.join(trial.name for trial in TRIALS)}")
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     with crew(workers) as hands:
         found = list(resumed(hands, run, work))
     rows = _rows(names, work, found)

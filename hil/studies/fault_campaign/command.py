@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from hil.cli.console import plain_console
 from hil.cli.options import JsonTarget, Overrides, Scheduler, any_rig
 from hil.cli.output import print_plant_notes, write_json
 from hil.rig.file import load_rig
@@ -61,9 +61,9 @@ def faults(
     if injection and motion:
         raise typer.BadParameter("--injection and --motion are two campaigns; name one of them")
     paths = [path for rig in rigs or map(Path, names("rigs")) if (path := any_rig(context, rig))]
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     if not console.is_terminal:
-        console = Console(emoji=False, stderr=json_target == "-", width=PAPER)
+        console = plain_console(stderr=json_target == "-", width=PAPER)
     for path in paths:
         print_plant_notes(console, load_rig(path, overrides or ()))
     columns = (

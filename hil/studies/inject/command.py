@@ -12,6 +12,7 @@ from rich.console import Console
 
 from drivers.base.named_file import write_text
 from drivers.protocols.base import HostProtocol
+from hil.cli.console import plain_console
 from hil.cli.options import JsonTarget, Overrides, ReadRig
 from hil.cli.output import writable, write_json
 from hil.cli.progress import Steps
@@ -118,7 +119,7 @@ def inject(
         raise typer.BadParameter("goes with cells, seed and --json alone", param_hint="--specification")
     _check_ways(z_law, speed, attach=attach, mixed=compare and not alone)
     script = [declared(text) for text in ask or ()]
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     if attach:
         _attach(rig_file, script, csv_target, report_target, json_target, console)
         return

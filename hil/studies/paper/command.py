@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from drivers.base.named_file import write_text
+from hil.cli.console import plain_console
 from hil.cli.options import JsonTarget
 from hil.cli.output import write_json
 from hil.studies.paper.experiment import STEPS, Job
@@ -41,7 +42,7 @@ def reproduce(
     except ValueError as error:
         print(f"hil reproduce: {error}", file=sys.stderr)
         sys.exit(2)
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     folder = output or Path("runs") / time.strftime("reproduce-%Y%m%d-%H%M%S")
     folder.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()

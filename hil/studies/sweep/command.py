@@ -48,10 +48,10 @@ def sweep(
     json_target: JsonTarget = "",
 ) -> None:
     """Run thousands of plants with seeded parameters; distributions, and the worst cases as rig files."""
-    from rich.console import Console
+    from hil.cli.console import plain_console
 
     base = load_rig(rig_file, overrides or ())
-    console = Console(emoji=False, stderr=json_target == "-")
+    console = plain_console(stderr=json_target == "-")
     print_plant_notes(console, base)
     output.mkdir(parents=True, exist_ok=True)
     names = (

@@ -71,8 +71,7 @@ def tune(
     The same rig, seed and options give the same gains; the command is written beside them. An axis keeps the file's
     gains unless those found are better on plants that were not searched, too.
     """
-    from rich.console import Console
-
+    from hil.cli.console import plain_console
     from hil.cli.progress import Steps
 
     rig = load_rig(rig_file, overrides or ())
@@ -80,7 +79,7 @@ def tune(
     rig = usable(load_rig(rig_file, [*(overrides or ()), f"law.name={name}"]), rig_file)
     if not space_of(rig, name):
         raise RigError([f"--law {name}: the law declares no gain with a range to search (hil.Knob)"])
-    console = Console(emoji=False)
+    console = plain_console()
     if not console.is_terminal:
         console.width = WIDTH
     print_plant_notes(console, rig)
