@@ -51,6 +51,11 @@ _FEW = 4  # links: up to so many, trying each is faster than asking which are re
 _socket_numbers = itertools.count()
 
 
+def _alone() -> memoryview:
+    """A count of joins that no other member sees."""
+    return memoryview(bytes(COUNT_BYTES)).cast("Q")
+
+
 class LocalMedium:
     """One member of a local bus. One thread may receive while another sends."""
 
@@ -69,7 +74,7 @@ class LocalMedium:
         self._poll = select.epoll()  # links and listening socket, once anybody waits for them
         self._watched = False
         self._shared: mmap.mmap | None = None
-        self._joined = memoryview(bytes(COUNT_BYTES)).cast("Q")  # [0]: how many have ever joined; all members share it
+        self._joined = _alone()  # [0]: how many have ever joined; all members share it
         self._seen = 0  # of them
         self._listening = packet_socket()
         self._listening_fd = self._listening.fileno()
@@ -260,4 +265,4 @@ class LocalMedium:
         if self._shared is not None:
             self._joined.release()
             unmap(self._shared)
-            self._shared, self._joined, self._seen = None, memoryview(bytes(COUNT_BYTES)).cast("Q"), 0
+            self._shared, self._joined, self._seen = None, _alone(), 0

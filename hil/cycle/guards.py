@@ -19,6 +19,15 @@ from hil.rig.schema import RigConfig
 _FROM_REST: Final = frozenset({Event.ACTIVATE, Event.HOME, Event.RESET})
 
 
+def within(positions: Sequence[float], ranges: Sequence[tuple[float, float]]) -> bool:
+    """Each position, m (rad), is in its axis' range, ends included."""
+    for axis, position in enumerate(positions):
+        low, high = ranges[axis]
+        if not low <= position <= high:
+            return False
+    return True
+
+
 class Guards:
     """Of one control cycle. homing: how axes find their positions; None: none has to. way_out: of the rig's motion;
     None: it declares none.
@@ -73,8 +82,4 @@ class Guards:
 
     def within(self, ranges: Sequence[tuple[float, float]]) -> bool:
         """Each axis stands where the task keeps every limit from."""
-        for axis, position in enumerate(self._axes.measured):
-            low, high = ranges[axis]
-            if not low <= position <= high:
-                return False
-        return True
+        return within(self._axes.measured, ranges)

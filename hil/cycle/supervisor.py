@@ -40,7 +40,7 @@ from hil.cycle.fault_monitor import FaultMonitor
 from hil.cycle.fault_table import Fault, Reaction
 from hil.cycle.goal import MotionWord
 from hil.cycle.goal_desk import GoalDesk
-from hil.cycle.guards import Guards
+from hil.cycle.guards import Guards, within
 from hil.cycle.homing import Homing
 from hil.cycle.inbox import Inbox
 from hil.cycle.limits import motion_limits, path_accelerations
@@ -157,10 +157,7 @@ class Supervisor:
 
     def _path_from(self, position: list[float]) -> Trajectory | None:
         """The task's plan from rest; None where it may not begin there."""
-        for place, (low, high) in zip(position, self.start_ranges, strict=True):
-            if not low <= place <= high:
-                return None
-        path: Trajectory = self._plan(position)
+        path: Trajectory | None = self._plan(position) if within(position, self.start_ranges) else None
         return path
 
     def latch(self, fault: Fault, reaction: Reaction, tick: Tick) -> None:

@@ -120,8 +120,7 @@ class History:
 
     def why_it_left(self, axis: int) -> Cause | None:
         """Why the axis left its set-point."""
-        motion = self._motion(axis, HELD)
-        return self.ringing(axis) or why_it_left(motion, self._model(axis), self._period_s, axis)
+        return self.ringing(axis) or why_it_left(self._motion(axis, HELD), self._model(axis), self._period_s, axis)
 
     def ringing(self, axis: int) -> Cause | None:
         """Whether the axis swings to and fro by itself, and at what frequency."""

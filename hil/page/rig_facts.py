@@ -79,7 +79,7 @@ def runs_in(folder: Path) -> list[dict[str, Any]]:
                 "rig": facts["rig"],
                 "law": facts["law"],
                 "seconds": facts["seconds"],
-                "ended": facts["outcome"] if facts["outcome"] == "unread" else run.ended,
+                "ended": run.ended,
                 "lacks": run.lacks,
                 "axis": axis,
                 "error": error if axis else None,

@@ -40,6 +40,8 @@ class ListedRun(NamedTuple):
     @property
     def ended(self) -> str:
         """How it ended, in words."""
+        if self.facts["outcome"] == "unread":
+            return "unread"
         if self.growing:
             return "still recorded"
         return f"{self.facts['state']} {self.facts['fault'].lower()}".strip() or "-"

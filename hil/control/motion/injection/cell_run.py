@@ -240,7 +240,7 @@ class CellRun:
 
     def _confirm(self, seen: Observation) -> None:
         elapsed, bolus = self._elapsed(seen), self._senses.bolus
-        short = self._keep_open(seen, elapsed)
+        self._keep_open(seen, elapsed)
         if elapsed < self._s.dwell_s:
             return
         if bolus is None or not self._s.valve:
@@ -249,24 +249,26 @@ class CellRun:
             self.result.bolus = bolus.value
             if bolus.value >= self._s.bolus_least:
                 self.decide(Verdict.OK, _BOLUS, seen)
-            elif short:
-                self.decide(Verdict.UNKNOWN, short, seen)
+            elif self._given < self._s.pulse_s:
+                given, wanted = (f"{seconds * 1e3:.0f} ms" for seconds in (self._given, self._s.pulse_s))
+                self.decide(Verdict.UNKNOWN, f"the valve was open for {given} of a pulse of {wanted}", seen)
             else:
                 self.decide(Verdict.CLOGGED, _BOLUS, seen)
         elif elapsed > AFTER_PULSE_S + PATIENCE_S + self._s.camera_latency_s:
             self.decide(Verdict.CAMERA_FROZEN, "no frame behind the pulse", seen)
 
-    def _keep_open(self, seen: Observation, elapsed: float) -> str:
+    def _keep_open(self, seen: Observation, elapsed: float) -> None:
         """Open the valve for the time of a pulse. A tick with a fault closes it until it has not been asked for once;
-        it is then asked for anew. Returns by how much the pulse is short so far; empty: it is whole.
+        it is then asked for anew.
         """
         self._open += seen.outputs != 0
-        given, wanted = self._open * self._period, self._s.pulse_s
-        cut = self.pulse and not seen.outputs
-        self.pulse = bool(self._s.valve) and not cut and given < wanted and elapsed < PULSE_SPAN * wanted
-        return (
-            f"the valve was open for {given * 1e3:.0f} ms of a pulse of {wanted * 1e3:.0f} ms" if given < wanted else ""
-        )
+        wanted, cut = self._s.pulse_s, self.pulse and not seen.outputs
+        self.pulse = bool(self._s.valve) and not cut and self._given < wanted and elapsed < PULSE_SPAN * wanted
+
+    @property
+    def _given(self) -> float:
+        """How long the valve has been open, s."""
+        return self._open * self._period
 
     def _withdraw(self, seen: Observation) -> None:
         if self._senses.fresh:
