@@ -62,15 +62,21 @@ def declared(gains: Mapping[str, Any]) -> dict[str, Gain]:
     return found
 
 
+_GIVEN_BY_PLACE = 3  # model, period, force_limit
+
+
 def not_taken(made: Callable[..., Any], gains: Iterable[str]) -> list[str]:
-    """The gains among `gains` that a law's class does not take by name: a rig file or the tuner could not set them."""
+    """The gains among `gains` that a law's class does not take by name behind model, period and force limit: a rig file
+    or the tuner could not set them, or the force limit would be taken for one.
+    """
     import inspect  # of users' laws alone
 
     parameters = inspect.signature(made).parameters.values()
+    by_place = [p.name for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)][:_GIVEN_BY_PLACE]
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
-        return []
+        return [name for name in gains if name in by_place]
     by_name = {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
-    return [name for name in gains if name not in by_name]
+    return [name for name in gains if name not in by_name or name in by_place]
 
 
 def _problem(gain: Gain, others: list[str]) -> str:

@@ -122,6 +122,16 @@ def test_a_gain_that_the_constructor_does_not_take_is_refused_with_its_name(rig_
         make_axis_laws(rig.law, rig_model(rig), 1e-3, np.ones(2))
 
 
+def test_the_force_limit_is_never_taken_for_a_gain(rig_file: Path) -> None:
+    text = "from hil import Law\n\n\nclass Short(Law):\n    GAINS = {'kp': None}\n"
+    text += "    def __init__(self, model, period, kp=None, **others):\n        pass\n"
+    text += "    def force(self, inputs):\n        return 0.0\n"
+    (rig_file.parent / "short.py").write_text(text)
+    rig = load_rig(rig_file, ["law.name=./short.py:Short"])
+    with pytest.raises(ValueError, match=r"kp, which Short\(\) does not take by name behind model"):
+        make_axis_laws(rig.law, rig_model(rig), 1e-3, np.ones(2))
+
+
 def test_gains_are_checked_by_what_the_law_declares(rig_file: Path) -> None:
     for override, text in (
         ("law.gains.error=0", "law.gains.error = 0: expected a finite number >= 1e-09"),

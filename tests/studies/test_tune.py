@@ -4,6 +4,8 @@ import shlex
 from itertools import pairwise
 from pathlib import Path
 from shutil import copy
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -131,6 +133,13 @@ def test_a_search_lowers_the_cost_and_never_loses_its_start() -> None:
     again, _ = search(bench, 8, 3, 1, lambda outcome: None)
     assert np.array_equal(again, best)
     assert rounded_to(4, 12345.6) == 12350.0
+
+
+def test_what_a_law_raises_in_a_trial_is_told_in_its_own_words() -> None:
+    bench = SimpleNamespace(axis=0, space=("kp",), known=lambda: np.array([0.5]))
+    bench.run = Mock(side_effect=ValueError("law ./own.py:Own: ./own.py:9: force returned None, expected a number"))
+    with pytest.raises(ValueError, match=r"own\.py:9: force returned None"):
+        search(bench, 5, 1, 0, lambda _: None)  # type: ignore[arg-type]  # no more of a bench is asked
 
 
 def test_figures_are_tuned_on_many_tasks_and_plans_on_themselves() -> None:

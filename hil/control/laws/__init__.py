@@ -177,7 +177,10 @@ def _known_gains(law: LawConfig, n_axes: int) -> dict[str, Any]:
         raise ValueError(f"law.name = {shown(law.name)}: {error}") from None
     if not is_built_in(law) and (strange := not_taken(made, known)):
         names = ", ".join(strange)
-        raise ValueError(f"law.name = {shown(law.name)}: GAINS has {names}, which {made.__name__}() does not take")
+        raise ValueError(
+            f"law.name = {shown(law.name)}: GAINS has {names}, which {made.__name__}() does not take by name behind "
+            "model, period and force_limit"
+        )
     return _checked_gains(law, {**known, **learning}, n_axes)
 
 

@@ -46,7 +46,10 @@ def search(
     bench: Bench, population: int, generations: int, seed: int, report: Callable[[Outcome], None],
     start: Start = Start.RIG,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Differential evolution: best point (knobs,); error, chatter, gain margin of all stable candidates, (met, 3)."""
+    """Differential evolution: best point (knobs,); error, chatter, gain margin of all stable candidates, (met, 3).
+
+    Raises ValueError for what a law raises in a trial, with file and line.
+    """
     from scipy.optimize import differential_evolution
 
     met: list[Array] = []
@@ -59,11 +62,14 @@ def search(
         report(outcome)
         return outcome.cost
 
-    result = differential_evolution(
-        cost, [(0.0, 1.0)] * len(bench.space), maxiter=generations,
-        init=first_generation(bench, population, start, rng), vectorized=True, updating="deferred", polish=False,
-        rng=rng, mutation=(0.3, 0.8), recombination=0.9, tol=1e-6,
-    )  # fmt: skip
+    try:
+        result = differential_evolution(
+            cost, [(0.0, 1.0)] * len(bench.space), maxiter=generations,
+            init=first_generation(bench, population, start, rng), vectorized=True, updating="deferred", polish=False,
+            rng=rng, mutation=(0.3, 0.8), recombination=0.9, tol=1e-6,
+        )  # fmt: skip
+    except RuntimeError as error:  # scipy's, of whatever a law raises in a trial
+        raise error.__cause__ or error from None
     return result.x, np.concatenate(met)
 
 
