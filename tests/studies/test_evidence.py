@@ -8,7 +8,7 @@ import pytest
 from hil.control.trajectories.chosen_axes import ChosenAxes
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
-from hil.studies.evidence.command import _rows
+from hil.studies.evidence.rows import pooled, quantile_interval
 from hil.studies.evidence.stages import PRESLIDING, TOLD, columns, nominal, only, overrides, plant_of, stage_of
 from hil.studies.evidence.trials import (
     LONG,
@@ -101,13 +101,22 @@ def test_a_stage_of_the_table_can_be_made_of_the_rig_file(mode_hz: float) -> Non
     assert made.plant.encoder_resolution == one.plant.encoder_resolution
 
 
-def test_a_row_has_every_stage_and_says_which_is_the_worst() -> None:
-    work = [job(TRIALS[0])]
-    figures = {"failed": np.array([[False], [True], [False]]), "RMS": np.array([[3e-9], [1e-9], [4e-9]])}
-    (row,) = _rows(["x"], work, [figures])
+def test_a_row_has_every_stage_of_every_seed_and_says_which_is_the_worst() -> None:
+    work = [job(TRIALS[0])._replace(seed=seed, stages=3) for seed in (7, 8)]
+    first = {"failed": np.zeros((3, 1), dtype=bool), "RMS": np.array([[3e-9], [1e-9], [4e-9]])}
+    second = {"failed": np.array([[False], [True], [False]]), "RMS": np.array([[5e-9], [1e-9], [2e-9]])}
+    (row,) = pooled(["x"], work, [first, second])
     assert row["axes"]["x"] == {
-        "median": 4e-9, "p95": np.inf, "failed": 1, "worst": 1, "each": [3e-9, np.inf, 4e-9],
+        "median": 4e-9, "median_interval": (1e-9, np.inf), "p95": np.inf, "p95_interval": (4e-9, np.inf), "failed": 1,
+        "worst": (8, 1), "each": [3e-9, 1e-9, 4e-9, 5e-9, np.inf, 2e-9],
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(("share", "true"), [(0.5, np.log(2.0)), (0.95, np.log(20.0))])
+def test_an_interval_holds_the_true_quantile_as_often_as_it_says(share: float, true: float) -> None:
+    rng = np.random.default_rng(41)
+    ends = [quantile_interval(rng.exponential(size=60), share) for _ in range(2000)]
+    assert 0.95 <= np.mean([low <= true <= high for low, high in ends]) < 0.995
 
 
 @pytest.mark.parametrize("trial", TRIALS, ids=lambda trial: trial.name)

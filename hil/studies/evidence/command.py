@@ -9,20 +9,20 @@ import typer
 
 from hil.cli.options import JsonTarget, Overrides, ReadRig, named_axes
 from hil.cli.output import write_json
-from hil.control.laws.base import Array
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.studies.crew import crew, resumed
+from hil.studies.evidence.rows import CONFIDENCE, pooled
 from hil.studies.evidence.stages import head
 from hil.studies.evidence.stages import overrides as made_with
-from hil.studies.evidence.trials import LEARNING_REPEATS, REST, TRIALS, WARM_REPEATS, Job, jobs, run
+from hil.studies.evidence.trials import LEARNING_REPEATS, TRIALS, WARM_REPEATS, jobs, run
 
 
 def evidence(
     rig_file: ReadRig,
     *,
-    stages: Annotated[int, typer.Option(min=2, max=10_000, help="stages drawn for each row")] = 20,
-    seed: Annotated[int, typer.Option(help="of the stages")] = 1,
+    stages: Annotated[int, typer.Option(min=2, max=10_000, help="stages drawn for each row, of each seed")] = 20,
+    seed: Annotated[str, typer.Option(help="of the stages; several, comma-separated, are pooled")] = "1",
     modes: Annotated[str, typer.Option(help="comma-separated, Hz of the free axis; 0: rigid")] = "0,150,200,300",
     axes: Annotated[str, typer.Option(help="comma-separated; default: all of the rig's")] = "",
     trials: Annotated[str, typer.Option(help="those whose names contain one of these, comma-separated")] = "",
@@ -55,9 +55,11 @@ def evidence(
     named = named_axes(axes, rig.axis_names)
     names = [name for name in rig.axis_names if name in named]
     wanted = [part.strip() for part in trials.split(",") if part.strip()]
+    seeds, drawn_modes = _seeds(seed), [None] if measured else _modes(modes)
     work = [
         job
-        for job in jobs(rig, names, stages, seed, [None] if measured else _modes(modes), hard=hard)
+        for one in seeds
+        for job in jobs(rig, names, stages, one, drawn_modes, hard=hard)
         if not wanted or any(part in job.trial.name for part in wanted)
     ]
     if not work:
@@ -65,16 +67,20 @@ def evidence(
     console = plain_console(stderr=json_target == "-")
     with crew(workers) as hands:
         found = list(resumed(hands, run, work))
-    rows = _rows(names, work, found)
-    of = f"median / 95 % of {stages} {'hard ' if hard else ''}stages (number of the worst), seed {seed}"
+    rows = pooled(names, work, found)
+    of = (
+        f"median / 95 % of {stages * len(seeds)} {'hard ' if hard else ''}stages (seed and number of the worst), "
+        f"below their {100 * CONFIDENCE:.0f} % intervals; seed {', '.join(map(str, seeds))}"
+    )
     _show(console, rig, names, rows, of, head(hard=hard))
     console.print(f"{time.monotonic() - begun:.0f} s")
     if json_target:
-        asked = {"learning": learning, "stages": stages, "seed": seed, "hard": hard, "measured": measured}
+        asked = {"learning": learning, "stages": stages, "seeds": seeds, "hard": hard, "measured": measured}
         document = {"rig": rig.name, "law": rig.law.name, **asked}
         drawn = [
-            {"mode_hz": mode_hz, "stage": number, "set": made_with(rig, seed, number, mode_hz, hard=hard)}
+            {"mode_hz": mode_hz, "seed": one, "stage": number, "set": made_with(rig, one, number, mode_hz, hard=hard)}
             for mode_hz in dict.fromkeys(job.mode_hz for job in work)
+            for one in seeds
             for number in range(stages)
         ]
         write_json({**document, "of": head(hard=hard), "rows": rows, "drawn": drawn}, json_target)
@@ -90,36 +96,25 @@ def _modes(modes: str) -> list[float | None]:
     return [*found]
 
 
-def _rows(names: Sequence[str], work: Sequence[Job], found: Sequence[dict[str, Array]]) -> list[dict[str, Any]]:
-    """Median and 95 % of every figure, by axis, that of each stage, and the number of the worst. A stage that failed
-    counts as worse than all others: infinite.
-    """
-    rows: list[dict[str, Any]] = []
-    for job, figures in zip(work, found, strict=True):
-        failed = figures["failed"]
-        for figure, values in figures.items():
-            if figure == "failed":
-                continue
-            worst = np.where(failed, np.inf, values)
-            axes = {
-                name: {
-                    "median": float(np.quantile(worst[:, i], 0.5, method="higher")),
-                    "p95": float(np.quantile(worst[:, i], 0.95, method="higher")),
-                    "failed": int(failed[:, i].sum()),
-                    "worst": int(np.argmax(worst[:, i])),
-                    "each": worst[:, i].tolist(),
-                }
-                for i, name in enumerate(names)
-            }
-            name = figure if job.trial.name == REST else f"{job.trial.name}: {figure}"
-            rows.append({"mode_hz": job.mode_hz, "figure": name, "axes": axes})
-    return rows
+def _seeds(seeds: str) -> list[int]:
+    try:
+        found = [int(value) for value in seeds.split(",")]
+    except ValueError:
+        found = [-1]
+    if min(found) < 0 or len(set(found)) < len(found):
+        raise typer.BadParameter(f"--seed {seeds}: expected different integers from 0, separated by commas")
+    return found
 
 
 def _unit(figure: str) -> tuple[str, float]:
     if "repeats" in figure:
         return "", 1.0
     return ("ms", 1e3) if figure.endswith("nm") else ("nm", 1e9)
+
+
+def _within(interval: tuple[float, float], scale: float) -> str:
+    low, high = interval
+    return f"{low * scale:.3g} to {high * scale:.3g}" if np.isfinite(high) else f"from {low * scale:.3g}"
 
 
 def _show(
@@ -140,7 +135,8 @@ def _show(
         for axis in row["axes"].values():
             failed = f" ({axis['failed']} failed)" if axis["failed"] else ""
             figures = f"{axis['median'] * scale:.3g} / {axis['p95'] * scale:.3g}"
-            cells.append(f"{figures} ({axis['worst']}){failed}")
+            within = " / ".join(_within(axis[f"{name}_interval"], scale) for name in ("median", "p95"))
+            cells.append(f"{figures} ({'-'.join(map(str, axis['worst']))}){failed}\n{within}")
         mode = "as measured" if row["mode_hz"] is None else f"{row['mode_hz']:g} Hz" if row["mode_hz"] else "rigid"
         table.add_row(mode, f"{row['figure']}{', ' if unit else ''}{unit}", *cells)
     console.print(table)
