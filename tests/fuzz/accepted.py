@@ -25,8 +25,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
-from matplotlib import pyplot
-
 from hil.studies import crew
 from hil.studies.tune import objective
 from tests.fuzz.generated_laws import law_source
@@ -151,6 +149,8 @@ class _Here:
 @contextlib.contextmanager
 def cheap(pictures: bool) -> Iterator[None]:
     """Studies in this process, and trials of `hil tune` of a fraction of a second: the same code, less of it."""
+    from matplotlib import pyplot  # behind hil: it loads numpy, whose BLAS then would take every core
+
     with (
         contextlib.nullcontext() if pictures else patch.object(pyplot.Figure, "savefig"),
         patch.object(crew, "worker_pool", _Here),
