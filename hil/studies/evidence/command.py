@@ -114,7 +114,12 @@ def _unit(figure: str) -> tuple[str, float]:
 
 def _within(interval: tuple[float, float], scale: float) -> str:
     low, high = interval
-    return f"{low * scale:.3g} to {high * scale:.3g}" if np.isfinite(high) else f"from {low * scale:.3g}"
+    return f"{_digits(low * scale)} to {_digits(high * scale)}" if np.isfinite(high) else f"from {_digits(low * scale)}"
+
+
+def _digits(value: float) -> str:
+    """Three of them: 0.123, 1470."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def _show(
@@ -134,7 +139,7 @@ def _show(
         cells = []
         for axis in row["axes"].values():
             failed = f" ({axis['failed']} failed)" if axis["failed"] else ""
-            figures = f"{axis['median'] * scale:.3g} / {axis['p95'] * scale:.3g}"
+            figures = f"{_digits(axis['median'] * scale)} / {_digits(axis['p95'] * scale)}"
             within = " / ".join(_within(axis[f"{name}_interval"], scale) for name in ("median", "p95"))
             cells.append(f"{figures} ({'-'.join(map(str, axis['worst']))}){failed}\n{within}")
         mode = "as measured" if row["mode_hz"] is None else f"{row['mode_hz']:g} Hz" if row["mode_hz"] else "rigid"
