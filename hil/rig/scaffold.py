@@ -14,6 +14,7 @@ from drivers.families import Sketched, SketchedAxis, families, layouts
 LAYOUTS = tuple(name.partition(":")[0] for name in layouts())
 GRAVITY = 9.81  # m/s^2
 MOVE_SHARE, FORCE_SHARE, SPEED_SHARE = 0.1, 0.2, 0.5  # the first move: of the travel, the rated force, the speed limit
+LEAST_COUNTS_A_TICK, LEAST_COUNTS_OFF = 10, 100  # of an encoder that is coarse for the travel: the least limits
 JERK_FREE_SPEED, JERK_FREE_ACCELERATION = 1.875, 5.7735  # peaks of a minimum-jerk move over d / T and d / T^2
 
 
@@ -87,7 +88,10 @@ def rig_text(sketch: Sketch) -> str:
 name = "{sketch.name}"
 rate_hz = {sketch.rate_hz:g}
 """,
-        *(_axis_text(axis, f"\n{line}" if line else "") for axis, line in zip(axes, lines, strict=True)),
+        *(
+            _axis_text(axis, f"\n{line}" if line else "", sketch.rate_hz)
+            for axis, line in zip(axes, lines, strict=True)
+        ),
         f"""\
 # What the drives do by themselves, by their data sheet. Their watchdog must be switched on.
 [drives]
@@ -122,7 +126,9 @@ protocol = "{protocol}"
     return "\n".join(parts)
 
 
-def _axis_text(axis: AxisSketch, added: str) -> str:
+def _axis_text(axis: AxisSketch, added: str, rate_hz: float) -> str:
+    speed = max(2.0 * axis.travel, LEAST_COUNTS_A_TICK * axis.encoder * rate_hz)
+    following_error = max(0.01 * axis.travel, LEAST_COUNTS_OFF * axis.encoder)
     length, force = ("rad", "N m") if axis.rotary else ("m", "N")
     mass = "kg m^2" if axis.rotary else "kg"
     end = _rounded(axis.travel / 2)
@@ -135,10 +141,10 @@ rated_force = {axis.force!r}  # {force}{added}
 
 [axes.{axis.name}.limits]  # {length}, {length}/s, {force}, {force}/s, {length}
 position = [{-end!r}, {end!r}]
-speed = {_rounded(2.0 * axis.travel)!r}
+speed = {_rounded(speed)!r}
 force = {axis.force!r}
 force_rate = {_rounded(2000.0 * axis.force)!r}
-following_error = {_rounded(0.01 * axis.travel)!r}
+following_error = {_rounded(following_error)!r}
 
 [axes.{axis.name}.model]  # the nominal model: {mass}, {force}
 mass = {axis.mass!r}

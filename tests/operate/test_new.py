@@ -56,6 +56,15 @@ def test_what_it_writes_passes_check_and_follows_its_task(layout: str, flags: li
         assert figures["peak_force"] < 0.8 * rig.axes[name].limits.force
 
 
+def test_a_travel_of_a_thousand_counts_gets_limits_that_a_count_keeps(tmp_path: Path) -> None:
+    """A count in a tick is 1.45 mm/s here, and 2 m/s a metre of travel would be 2.9."""
+    made = hil("new", "stage.toml", "--axes", "x", "--mass", "0.0365", "--travel", "0.00147", "--encoder", "1.45e-6",
+               "--force", "167")  # fmt: skip
+    assert made.exit_code == 0, made.stderr
+    report, _ = simulate(load_rig(tmp_path / "stage.toml"), tmp_path, 3.0)
+    assert (report.state, report.faults) == ("ACTIVE", {})
+
+
 @pytest.mark.parametrize(("mass", "force", "seconds"), [(5.0, 0.5, 4.2), (0.2, 0.02, 4.2), (5.0, 50.0, 1.2)])
 def test_the_first_move_takes_a_fifth_of_the_rated_force_or_half_the_speed(
     mass: float, force: float, seconds: float
