@@ -304,7 +304,7 @@ def _to_the_end(rows: Iterator[Row]) -> Iterator[Row]:
     try:
         yield from rows
     except AssertionError as error:
-        yield Row("the rest was not tried", str(error)[-1000:])
+        yield Row("the rest was not tried", str(error)[-3000:])
 
 
 def told(rows: Iterator[Row]) -> bool:

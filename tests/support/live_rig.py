@@ -3,6 +3,7 @@
 import contextlib
 import os
 import select
+import signal
 import subprocess
 import sys
 import threading
@@ -116,7 +117,7 @@ class Control:
         heard = "import signal, sys\nsignal.signal(signal.SIGHUP, signal.SIG_DFL)"
         code = f"{heard}\n{wrap}\nfrom hil.cli.app import main\nmain()"
         self.process = subprocess.Popen(
-            [sys.executable, "-c", code, "run", str(rig), *sets, *arguments],
+            [sys.executable, "-X", "faulthandler", "-c", code, "run", str(rig), *sets, *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -161,7 +162,9 @@ class Control:
                 if state is State.READY and (fault.name in STALL_FAULTS or tripped):
                     order(CommandKind.RESET)
             time.sleep(0.005)
-        raise AssertionError(f"no {state.name} within {PATIENCE_S} s; last seen {newest!r}, {fault!r}, {counted}")
+        told = f"no {state.name} within {PATIENCE_S} s; last seen {newest!r}, {fault!r}, {counted}"
+        self.process.send_signal(signal.SIGABRT)  # with faulthandler: where each of its threads stands
+        raise AssertionError(f"{told}; it stands where its words end: {self.finish()}")
 
 
 def order(kind: CommandKind) -> None:
