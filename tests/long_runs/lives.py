@@ -173,8 +173,7 @@ def cycles(count: int, seed: int) -> Iterator[Row]:
     draw = random.Random(seed)
     with own_runtime(), emulated(HEAVY) as emulator:
         for number in range(count):
-            with Control(*MOVING) as control:
-                reader = control.wait_for(State.READY)
+            with Control(*MOVING) as control, control.wait_for(State.READY) as reader:
                 if draw.random() < 0.5:
                     to_active(control, reader)
                 page_of(control).close()
@@ -196,7 +195,8 @@ def kills_of_control(count: int, seed: int) -> Iterator[Row]:
                 if moment == "start":
                     time.sleep(draw.uniform(0.0, _UP_S))
                 else:
-                    _moment(control, control.wait_for(State.READY), moment, draw)
+                    with control.wait_for(State.READY) as reader:
+                        _moment(control, reader, moment, draw)
                 control.process.kill()
                 status = control.process.wait(PATIENCE_S)
             _wait_zero(emulator)
@@ -214,8 +214,11 @@ def kills_beside(victim: str, count: int, seed: int) -> Iterator[Row]:
     with own_runtime() as folder, _no_stage() if victim == "emulator" else emulated(HEAVY):
         for number in range(count):
             moment = MOMENTS[number % len(MOMENTS)]
-            with _started(victim, folder) as beside, Control(*MOVING) as control:
-                reader = control.wait_for(State.READY)
+            with (
+                _started(victim, folder) as beside,
+                Control(*MOVING) as control,
+                control.wait_for(State.READY) as reader,
+            ):
                 if moment == "start" and beside is not None and victim != "emulator":
                     time.sleep(draw.uniform(0.0, _UP_S))
                 else:

@@ -19,7 +19,7 @@ from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
-from hil.live.ring import RingReader
+from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import runtime_paths
 from hil.operate.demo_live import STALL_FAULTS
 from hil.rig.file import load_rig
@@ -148,10 +148,7 @@ class Control:
             if self.process.poll() is not None:
                 raise AssertionError(f"hil run ended with {self.finish()}")
             if reader is None:
-                with contextlib.suppress(Exception):
-                    reader = RingReader(runtime_paths("paper").ring)
-                    if reader.pid != self.process.pid:
-                        reader = None
+                reader = self._own_ring()
             if reader is not None and len(batch := reader.read().records):
                 last = batch[-1]
                 newest, fault = State(int(last["state"])), Fault(int(last["fault"]))
@@ -165,6 +162,17 @@ class Control:
         told = f"no {state.name} within {PATIENCE_S} s; last seen {newest!r}, {fault!r}, {counted}"
         self.process.send_signal(signal.SIGABRT)  # with faulthandler: where each of its threads stands
         raise AssertionError(f"{told}; it stands where its words end: {self.finish()}")
+
+    def _own_ring(self) -> RingReader | None:
+        """Of this process, and not of one before it on the same rig; None: not yet."""
+        try:
+            reader = RingReader(runtime_paths("paper").ring)
+        except RingError:
+            return None
+        if reader.pid == self.process.pid:
+            return reader
+        reader.close()
+        return None
 
 
 def order(kind: CommandKind) -> None:
