@@ -68,7 +68,7 @@ class DriveClock:
                 if self._rejected < FORGET:
                     return stamp_ns - offset
             else:
-                low, high = max(low, least), min(high, most)
+                low, high = low if low > least else least, high if high < most else most
         self._known = True
         self.outside_ns = self._rejected = 0
         self._low, self._high, self._before_ns = low, high, sent_ns

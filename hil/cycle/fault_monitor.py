@@ -39,6 +39,7 @@ REACTIONS: Final = [Reaction.COUNT] + [ROWS[fault].reaction for fault in Fault i
 _BLOCKING: Final = sum(1 << f for f, rule in ROWS.items() if rule.reaction >= Reaction.STOP and not rule.drive_latched)
 _STATUS_FAULTS: Final = [(int(rule.status), fault) for fault, rule in ROWS.items() if rule.status]
 _BAD_STATUS: Final = sum(bits for bits, _ in _STATUS_FAULTS)
+_ENABLED: Final = int(DriveStatus.ENABLED)  # interpreted, the operator of a flag is a function in Python
 NO_ACK_TICKS: Final = 2  # in a row
 RECORDER_FIRST_NS: Final = 1_000_000_000  # a recorder's first sign may take as long as each further one
 _ARMED: Final = [sum(1 << fault for fault, rule in ROWS.items() if state in rule.states) for state in State]
@@ -221,7 +222,7 @@ class FaultMonitor:
                 for bits, fault in _STATUS_FAULTS:
                     if sample.status & bits:
                         self.flag_state(fault, 1, axis)
-            if enabled_seen and not sample.status & DriveStatus.ENABLED:
+            if enabled_seen and not sample.status & _ENABLED:
                 self.flag_state(Fault.DRIVE_DISABLED, 0, axis)
 
     def check_switches(self, inbox: Inbox, *, homing: bool) -> None:
@@ -254,7 +255,7 @@ class FaultMonitor:
     def flag_not_enabled(self, waited: int, inbox: Inbox) -> None:
         """Axes that do not say, `waited` ticks after they were told to, that they apply torque."""
         for axis, sample in enumerate(inbox.samples):
-            if sample is None or not sample.status & DriveStatus.ENABLED:
+            if sample is None or not sample.status & _ENABLED:
                 self.flag(Fault.ENABLE_TIMEOUT, waited, self._safety.enable_timeout_ticks, axis)
 
     def flag_requests(self, requested: Sequence[float]) -> None:
@@ -271,7 +272,7 @@ class FaultMonitor:
         """Where no torque is permitted: a drive that goes on saying it is enabled."""
         enabled = NO_AXIS
         for axis, sample in enumerate(inbox.samples):
-            if inbox.fresh[axis] and sample is not None and sample.status & DriveStatus.ENABLED:
+            if inbox.fresh[axis] and sample is not None and sample.status & _ENABLED:
                 enabled = axis
                 break
         self._enabled_ticks = self._enabled_ticks + 1 if enabled != NO_AXIS else 0
@@ -295,7 +296,7 @@ class FaultMonitor:
 
     def implausible(self, axis: int, step: float, periods: float) -> bool:
         """Whether a sample that is `step` m from the last trusted one, `periods` ago, cannot be true."""
-        limit = self._axes[axis].jump_step * max(1.0, periods)
+        limit = self._axes[axis].jump_step * (periods if periods > 1.0 else 1.0)
         if abs(step) <= limit:
             self._glitches[axis] = 0
             return False

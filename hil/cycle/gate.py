@@ -119,6 +119,6 @@ class TorqueGate:
     def finite(values: list[float]) -> bool:
         """True where no value is NaN or infinite."""
         for value in values:  # noqa: SIM110  # a third of what all() of a generator costs
-            if math.isnan(value) or math.isinf(value):
+            if value - value != 0.0:
                 return False
         return True

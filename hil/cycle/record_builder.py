@@ -32,8 +32,6 @@ from hil.cycle.record import (
     GOAL,
     MAX_EVIDENCE,
     MAX_READINGS,
-    MAX_RECEIVED,
-    MAX_SENT,
     MOTION_FIELDS,
     RECORD,
     RECORD_SIZE,
@@ -73,9 +71,9 @@ _READING_AGE: Final = _word("reading_age")
 _SENT: Final = _word("sent")
 _RECEIVED: Final = _word("received")
 _COMMAND_WORDS: Final = COMMAND.itemsize // 8
-_FRAME_WORDS: Final = FRAME.itemsize // 8
 _PACKED_GOAL: Final = Struct("<IBBHqq4d4ddIIQ")  # GOAL
-_PADDING: Final = bytes(7)
+_PACKED_FRAME: Final = Struct("<qq64s")  # FRAME; identifier, length and flags in one
+_FRAME_BYTES: Final = FRAME.itemsize
 _copy: Final = copy
 _record: Final[Callable[..., None] | None] = native.record if native else None
 
@@ -113,7 +111,7 @@ class RecordBuilder:
     """The record of the present tick; the same object every time."""
 
     def __init__(self, n_axes: int) -> None:
-        self._words: vec[i64] = vec[i64]([0] * (RECORD_SIZE // 8))  # all but the motion fields
+        self._words: vec[i64] = vec[i64]([0] * _SENT)  # all but the motion fields and the frames
         self._motion: vec[float] = vec[float]([0.0] * (_STAMP - _MOTION))
         self._flags = 0
         self._measured: vec[float] = vec[float]([0.0] * (2 * MAX_EVIDENCE))  # values, then limits
@@ -123,13 +121,12 @@ class RecordBuilder:
         # What the words hold already: it seldom changes.
         self._age_ticks = self._status = [0] * n_axes
         self._rejects = [0] * REJECT_REASONS
-        self._lengths = [0] * (MAX_SENT + MAX_RECEIVED)  # of the data in each frame's place
         buffer = bytearray(RECORD_SIZE)
         self.record: np.void = np.frombuffer(buffer, dtype=RECORD)[0]
         record, words = memoryview(buffer), memoryview(self._words).cast("B")
         self._buffer, self._words_bytes, self._put_together = record, words, _record
         begin, end = 8 * _MOTION, 8 * _STAMP
-        # The record's parts, each with what it is a copy of; the last one by the number of frames received.
+        # The record's parts, each with what it is a copy of.
         self._to_head, self._head = record[:begin], words[:begin]
         self._to_motion, self._from_motion = record[begin:end], memoryview(self._motion).cast("B")
         self._to_measured = record[8 * _MEASURED : 8 * (_MEASURED + 2 * MAX_EVIDENCE)]
@@ -138,8 +135,7 @@ class RecordBuilder:
         self._has_readings = False
         self._to_readings = record[8 * _READINGS : 8 * (_READINGS + MAX_READINGS)]
         self._from_readings = memoryview(self._readings).cast("B")
-        used = [8 * (_RECEIVED + _FRAME_WORDS * received) for received in range(MAX_RECEIVED + 1)]
-        self._to_rest, self._rest = [record[end:last] for last in used], [words[end:last] for last in used]
+        self._to_rest, self._rest = record[end : 8 * _SENT], words[end:]
 
     def tick(self, tick: Tick, state: int, fault: int, faults_active: int, *, sending: bool) -> None:
         """The tick, the state it ended in, and its faults."""
@@ -157,8 +153,10 @@ class RecordBuilder:
         self._words[5] = _pair(self._flags, sequence)
         self._words[6] = task_ns
 
-    def axis(self, axis: i64, inputs: LawInputs, motion: MotionFilter, velocity: float) -> None:
-        """One axis' motion, its following error with it. axis: 0-based. velocity: to be shown, m/s."""
+    def axis(self, axis: i64, inputs: LawInputs, motion: MotionFilter, velocity: float, stamp_ns: int) -> None:
+        """One axis' motion, its following error with it. axis: 0-based. velocity: to be shown, m/s. stamp_ns: instant
+        that the motion belongs to.
+        """
         fields, reference = self._motion, inputs.sample
         position: float = inputs.position
         setpoint: float = reference.position
@@ -170,6 +168,7 @@ class RecordBuilder:
         fields[axis + 5 * MAX_AXES] = setpoint
         fields[axis + 6 * MAX_AXES] = reference.velocity
         fields[axis + 7 * MAX_AXES] = position - setpoint
+        self._words[_STAMP + axis] = stamp_ns
 
     def estimate(self, axis: i64, position: float, velocity: float) -> None:
         """What the law was told of one axis, m and m/s, in place of what `axis` put there."""
@@ -181,10 +180,6 @@ class RecordBuilder:
         self._motion[axis + 8 * MAX_AXES] = requested
         self._motion[axis + 9 * MAX_AXES] = applied
         self._words[_SATURATIONS + axis] = saturations
-
-    def instant(self, axis: i64, stamp_ns: int) -> None:
-        """Instant that one axis' motion belongs to."""
-        self._words[_STAMP + axis] = stamp_ns
 
     def drives(self, age_ticks: list[int], status: list[int]) -> None:
         """Ticks since the last accepted sample, and the drive's status; one each an axis."""
@@ -310,11 +305,11 @@ class RecordBuilder:
         if commands:
             self._commands(commands)
         if self._put_together is None:
-            self._frames(0, sent)
-            self._frames(MAX_SENT, received)
             _copy(self._to_head, 0, self._head)
             _copy(self._to_motion, 0, self._from_motion)
-            _copy(self._to_rest[n_received], 0, self._rest[n_received])
+            _copy(self._to_rest, 0, self._rest)
+            self._frames(8 * _SENT, sent)
+            self._frames(8 * _RECEIVED, received)
         else:
             self._put_together(
                 self._buffer, self._words_bytes, self._from_motion, 8 * _MOTION, 8 * _STAMP,
@@ -335,23 +330,8 @@ class RecordBuilder:
             words[place + 2] = min(max(command.expires_ns, -_HALF_U64), _HALF_U64 - 1)
             place += _COMMAND_WORDS
 
-    def _frames(self, first: int, frames: Sequence[Frame]) -> None:
-        """first: of the frames' places; those of `received` are behind those of `sent`."""
-        words, place, index = self._words, _SENT + _FRAME_WORDS * first, first
+    def _frames(self, at: int, frames: Sequence[Frame]) -> None:
+        """The frames into the record, from byte `at` on."""
         for can_id, data, flags, stamp_ns in frames:
-            length = len(data)
-            words[place] = stamp_ns
-            words[place + 1] = can_id | length << 32 | flags << 40
-            if length & 7:
-                data += _PADDING[(length & 7) - 1 :]
-            word = place + 2
-            for at in range(0, length, 8):
-                words[word] = read_i64_le(data, at)
-                word += 1
-            place += _FRAME_WORDS
-            if length != self._lengths[index]:
-                while word < place:
-                    words[word] = 0  # of an earlier, longer frame
-                    word += 1
-                self._lengths[index] = length
-            index += 1
+            _PACKED_FRAME.pack_into(self._buffer, at, stamp_ns, can_id | len(data) << 32 | flags << 40, data)
+            at += _FRAME_BYTES

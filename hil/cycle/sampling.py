@@ -81,7 +81,8 @@ class SampleClock:
         if self._map is not None:
             position = self._map.corrected(position)
         if tracked:
-            elapsed = min(max(instant - self.instant, 0), LONGEST_PERIODS * period)
+            elapsed, longest = instant - self.instant, LONGEST_PERIODS * period
+            elapsed = 0 if elapsed < 0 else elapsed if elapsed < longest else longest
             x.sample_interval = elapsed * 1e-9
             self.stretch = elapsed / period if 2 * elapsed > 3 * period else 1.0
         else:

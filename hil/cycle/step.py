@@ -319,10 +319,10 @@ class ControlCycle:
         records, inbox, gate, supervisor = self.records, self.inbox, self.gate, self.supervisor
         records.tick(tick, supervisor.machine.state, supervisor.fault, self.monitor.active, sending=bool(sent))
         records.progress(max(self.sent_sequence, 0), self.setpoints.task_ns)
+        filters, shown, instants = self.filters, self.axes.shown, self.sampling.instants
         for axis, x in enumerate(self.inputs):
-            records.axis(axis, x, self.filters[axis], self.axes.shown[axis].velocity)
+            records.axis(axis, x, filters[axis], shown[axis].velocity, instants[axis])
             records.force(axis, self._requested[axis], gate.force[axis], gate.saturations[axis])
-            records.instant(axis, self.sampling.instants[axis])
         if self._users_estimator:
             for axis, x in enumerate(self.inputs):
                 records.estimate(axis, x.position_estimate, x.velocity_estimate)

@@ -130,8 +130,13 @@ class TimingRecorder:
 
     def note(self, times: vec[i64]) -> None:
         """One tick: its METRICS in their order, ns."""
-        for metric, value in enumerate(times):
-            self._count(metric, value)
+        bins, longest = self._bins, self._longest
+        counted: i64
+        for counted in range(len(METRICS)):
+            value = times[counted]
+            bins[counted * BINS + bin_of(value)] += 1
+            if value > longest[counted]:
+                longest[counted] = value
         self._ticks += 1
         metric = self._ticks % WINDOW
         if metric < len(METRICS) and self._ticks >= WINDOW:
@@ -139,11 +144,6 @@ class TimingRecorder:
         elif self._ticks % self._show_every == 0:
             self._show(self._next_shown)
             self._next_shown = (self._next_shown + 1) % len(METRICS)
-
-    def _count(self, metric: i64, value: int) -> None:
-        self._bins[metric * BINS + bin_of(value)] += 1
-        if value > self._longest[metric]:
-            self._longest[metric] = value
 
     def _show(self, metric: int) -> None:
         """Let readers see a histogram as it is now."""
