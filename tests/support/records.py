@@ -36,9 +36,8 @@ def put_axis(builder: RecordBuilder, axis: int, values: Sequence[float], stamp_n
     inputs, motion = axis_inputs(), MotionFilter([0.0, 0.0, 0.0], 1.0)
     inputs.position, motion.position, motion.velocity, motion.disturbance, motion.innovation = values[:5]
     inputs.sample.position, inputs.sample.velocity = values[5:7]
-    builder.axis(axis, inputs, motion, values[2])
+    builder.axis(axis, inputs, motion, values[2], stamp_ns)
     builder.force(axis, values[7], values[8], changed)
-    builder.instant(axis, stamp_ns)
 
 
 def bare_tick(index: int, now_ns: int, *, scheduled_ns: int | None = None, flags: int = 0) -> Tick:
