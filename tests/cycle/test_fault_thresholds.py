@@ -35,7 +35,7 @@ SAFETY = SafetyConfig(
 SWITCHES = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
 LIMITS = [
     AxisLimits(-0.5, 0.5, 0.25, 1e-3, 5e-4, 4e-4, 3.0, 8.0, 5.0),
-    AxisLimits(-0.125, 0.25, 0.5, 2e-3, 1e-3, 8e-4, 2.0, 4.0, 5.0, int(SWITCHES)),
+    AxisLimits(-0.125, 0.25, 0.5, 2e-3, 1.25e-3, 8e-4, 2.0, 4.0, 5.0, int(SWITCHES)),
 ]
 INNOVATION = [1e-4, 2e-4]
 AXIS = 1  # the one that a case is about; the other one is well

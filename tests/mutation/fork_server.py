@@ -5,21 +5,17 @@ nothing of it outlives its fork. Its cache of gains is a private copy too.
 """
 
 import compileall
-import contextlib
-import ctypes
-import json
 import os
 import resource
-import select
 import shutil
-import signal
 import sys
 import tempfile
-import time
 from collections.abc import Iterable, Sequence
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import NamedTuple
 
+from tests.mutation.reporting import Reporter, Verdict, die_with_parent, listen
 from tests.mutation.rooms import LEFT_OUT
 
 PRELOADED = (
@@ -28,35 +24,11 @@ PRELOADED = (
     "mcap.reader", "mcap_protobuf.writer", "google.protobuf.descriptor_pool", "librt.vecs", "mypy_extensions",
 )  # fmt: skip
 COPIED = ("drivers", "hil", "sim_plant", "tests", "deploy", "docs", "examples")
-CPU_S_PER_TEST = 20  # of processor time, ten times what any honest one takes: a loaded machine makes no hang of one
-WALL_S_PER_TEST = 300  # of one that waits for what never comes
 MEMORY = 6 << 30
 NOT_HERE = "not slow and not live and not vcan and not controller and not systemd"
 OPTIONS = ["-q", "--no-header", "--tb=no", "--assert=plain", "--hypothesis-profile=mutants", "-m", NOT_HERE]
 OPTIONS += ["-k", " and ".join(f"not {name}" for name in LEFT_OUT)]
 OPTIONS += [f"-pno:{plugin}" for plugin in ("cacheprovider", "xdist", "benchmark")]
-
-_PR_SET_PDEATHSIG = 1
-
-
-def die_with_parent() -> None:
-    """Whoever ends the run ends what it started, too."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-class Verdict(NamedTuple):
-    """failed: names of the tests that failed, the first one only unless all were asked for. passed: those that passed.
-    hung: ended by a time limit.
-    """
-
-    failed: list[str]
-    passed: list[str]
-    hung: bool
-
-    @property
-    def killed(self) -> bool:
-        """Whether something noticed."""
-        return self.hung or bool(self.failed)
 
 
 def copy_tree(root: Path, into: Path) -> None:
@@ -72,6 +44,7 @@ class ForkServer:
 
     def __init__(self, root: Path, scratch: Path) -> None:
         die_with_parent()
+        self._swapped: Connection | None = None
         self._home = Path(tempfile.mkdtemp(prefix="", dir=scratch))
         self.tree = self._home / "t"
         self.tree.mkdir()
@@ -97,6 +70,33 @@ class ForkServer:
         settings.register_profile("mutants", deadline=None, derandomize=True, database=None, phases=phases)
         touched = [name for name in sys.modules if name.split(".")[0] in ("hil", "drivers", "sim_plant")]
         assert not touched, f"imported before the mutation: {touched}"
+
+    def collect(self, tests: Sequence[str]) -> None:
+        """Collect test files once, for `try_swapped`. Raises RuntimeError where one fails on the honest code."""
+        private = shutil.copytree(self._home / "cache", self._home / "cache-of-swapped")
+        ours, theirs = Pipe()
+        if os.fork() == 0:
+            ours.close()
+            die_with_parent()
+            os.environ["XDG_CACHE_HOME"] = str(private)
+            resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+            from tests.mutation.swapped import serve
+
+            serve(theirs, [*OPTIONS, f"--basetemp={os.environ['TMPDIR']}/s"], tests)
+        theirs.close()
+        self._swapped = ours
+        ours.send(None)
+        honest: Verdict = ours.recv()
+        if honest.killed or not honest.passed:
+            raise RuntimeError(f"on the honest code: {honest}")
+
+    def try_swapped(self, path: str, mutated: bytes) -> Verdict | None:
+        """What the collected tests say of a mutant; None where it cannot be made in a process that has begun."""
+        if self._swapped is None:
+            return None
+        self._swapped.send((path, (self.tree / path).read_bytes(), mutated))
+        verdict: Verdict | None = self._swapped.recv()
+        return verdict
 
     def try_mutant(self, path: str, mutated: bytes, tests: Iterable[str], *, everything: bool = False) -> Verdict:
         """Run the tests on one changed file, and put the honest one back."""
@@ -133,39 +133,12 @@ class ForkServer:
             _run_in_child(list(tests), writer, plugins, everything=everything)
         os.close(writer)
         try:
-            return _listen(reader, child)
+            return listen(reader, child)
         finally:
             if private != cache:
                 shutil.rmtree(private, ignore_errors=True)
             shutil.rmtree(self._home / "tmp", ignore_errors=True)
             (self._home / "tmp").mkdir()
-
-
-class _Reporter:
-    """A pytest plugin: each test's outcome as a line of JSON, and a limit of processor time for each."""
-
-    def __init__(self, writer: int) -> None:
-        self._writer = writer
-        self._failed: set[str] = set()
-
-    def say(self, what: str, name: str) -> None:
-        os.write(self._writer, (json.dumps([what, name]) + "\n").encode())
-
-    def pytest_runtest_logstart(self, nodeid: str, location: object) -> None:
-        signal.setitimer(signal.ITIMER_PROF, CPU_S_PER_TEST)
-        self.say("start", nodeid)
-
-    def pytest_runtest_logreport(self, report: object) -> None:
-        nodeid: str = report.nodeid  # type: ignore[attr-defined]
-        if report.failed and nodeid not in self._failed:  # type: ignore[attr-defined]
-            self._failed.add(nodeid)
-            self.say("failed", nodeid)
-        elif report.passed and report.when == "call":  # type: ignore[attr-defined]
-            self.say("passed", nodeid)
-
-    def pytest_collectreport(self, report: object) -> None:
-        if report.failed:  # type: ignore[attr-defined]
-            self.say("failed", f"{report.nodeid} (import)")  # type: ignore[attr-defined]
 
 
 def _run_in_child(tests: list[str], writer: int, plugins: Sequence[object], *, everything: bool) -> None:
@@ -177,11 +150,9 @@ def _run_in_child(tests: list[str], writer: int, plugins: Sequence[object], *, e
         os.dup2(log, 1)
         os.dup2(log, 2)
         resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
-        signal.signal(signal.SIGPROF, lambda *_: os._exit(3))
-        signal.setitimer(signal.ITIMER_PROF, CPU_S_PER_TEST)
         import pytest
 
-        reporter = _Reporter(writer)
+        reporter = Reporter(writer)
         for path in tests:
             options = [*OPTIONS] if everything else [*OPTIONS, "-x"]
             options.append(f"--basetemp={os.environ['TMPDIR']}/b")  # short: a socket's path has 107 characters at most
@@ -193,39 +164,3 @@ def _run_in_child(tests: list[str], writer: int, plugins: Sequence[object], *, e
         reporter.say("end", "")
     finally:
         os._exit(0)
-
-
-def _listen(reader: int, child: int) -> Verdict:
-    """Gather what the child says until it ends, or takes too long over one test."""
-    failed: list[str] = []
-    passed: list[str] = []
-    running, rest, ended, limit = "", b"", False, time.monotonic() + WALL_S_PER_TEST
-    while True:
-        ready, _, _ = select.select([reader], [], [], max(0.0, limit - time.monotonic()))
-        chunk = os.read(reader, 65536) if ready else b""
-        if not chunk:
-            break
-        limit = time.monotonic() + WALL_S_PER_TEST
-        *lines, rest = (rest + chunk).split(b"\n")
-        for line in lines:
-            what, name = json.loads(line)
-            if what == "start":
-                running = name
-            elif what == "end":
-                ended = True
-            else:
-                (failed if what == "failed" else passed).append(name)
-        if ended:
-            break
-    os.close(reader)
-    _end_session(child)
-    if not ended:
-        failed.append(running or "(import)")
-    return Verdict(failed, passed, not ended)
-
-
-def _end_session(child: int) -> None:
-    """The child and whatever it started."""
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)

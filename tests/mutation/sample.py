@@ -1,9 +1,12 @@
 """A random sample of mutants over the rooms a tick runs through, each held against its room's tests.
 
     python -m tests.mutation [--seed S] [--skip K] [--count N] [--minutes M] [--room R ...] [--match TEXT]
-                             [--workers W] [--json OUT] [--all]
+                             [--workers W] [--json OUT] [--all] [--tests FILE ...]
     python -m tests.mutation --hollow     tests that cannot fail: hollow.py
     python -m tests.mutation --careless   mistakes written down by hand, each with its test: careless.py
+
+With `--tests` these files alone must notice, instead of all the room's: seconds a mutant become tenths, and what they
+miss has no close test.
 
 Without a seed it is the commit's hash: every change gets a slice of its own, and a second try of the same commit the
 same one. Exit status 1 where the kill rate is too low, 2 as soon as a killing test also fails on the honest code.
@@ -67,18 +70,26 @@ class UnfairError(Exception):
 
 _server: ForkServer  # of this worker
 _fair: set[str] = set()  # tests that this worker has seen pass on the honest code
+_closest: list[str] = []  # the test files to run, where they are named
 
 
-def _start(scratch: str) -> None:
+def _start(scratch: str, tests: Sequence[str] = ()) -> None:
     global _server
+    _closest[:] = tests
     _server = ForkServer(ROOT, Path(scratch))
+    if tests:
+        _server.collect(tests)
 
 
 def _try(case: Case) -> Outcome:
     began = time.monotonic()
     path = case.mutant.path
     mutated = case.mutant.apply((_server.tree / path).read_bytes())
-    verdict = _server.try_mutant(path, mutated, files_to_run(_server.tree, ROOMS[case.room], path))
+    quick = _server.try_swapped(path, mutated)
+    if quick and quick.killed:
+        return Outcome(case, quick.failed[0], quick.hung, time.monotonic() - began)
+    tests = _closest or files_to_run(_server.tree, ROOMS[case.room], path)
+    verdict = _server.try_mutant(path, mutated, tests)
     killer = verdict.failed[0] if verdict.failed else ""
     if killer and not verdict.hung and not killer.endswith(")"):  # no test could begin
         _refuse_unfair(killer)
@@ -161,6 +172,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no mutant after so many")
     parser.add_argument("--room", action="append", choices=list(ROOMS))
     parser.add_argument("--match", default="", help="only lines that contain this text, as 'path: line'")
+    parser.add_argument("--tests", nargs="+", default=[], help="only these test files, instead of the room's")
     parser.add_argument("--demand", type=float, default=DEMANDED, help="rate that is demanded; default: 0.95")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", type=Path)
@@ -184,7 +196,7 @@ def main() -> int:
     outcomes = []
     try:
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(arguments.workers, spawn, _start, (scratch,)) as pool:
+        with ProcessPoolExecutor(arguments.workers, spawn, _start, (scratch, arguments.tests)) as pool:
             futures = [pool.submit(_try, case) for case in chosen]
             try:
                 for future in as_completed(futures):
