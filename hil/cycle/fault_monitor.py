@@ -58,7 +58,6 @@ class FaultMonitor:
         self._safety = safety
         self._flood_frames, self._bad_frame_limit = safety.flood_frames, safety.bad_frame_limit  # read in every tick
         self._axes = list(axes)
-        self._period_ns = period_ns
         self._innovation_limit = list(innovation_limit)  # m
         self._port = PortCounters()
         self._previous_index = -1

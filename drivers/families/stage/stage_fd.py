@@ -128,7 +128,8 @@ class StageFdHost(_Layout):
         flags = enable & self._enable_mask | (RESET if reset else 0)
         data = _command(self._command_id, force, self._rated, sequence % SEQUENCE_MODULUS, flags)
         if data is None or len(force) != self.n_axes:
-            check_force(force, self._rated[: self.n_axes])  # says which
+            if len(force) == self.n_axes:
+                check_force(force, self._rated[: self.n_axes])  # says which
             raise ValueError(f"{len(force)} forces for {self.n_axes} axes")
         return [Frame(self._command_id, data, FD | BRS)]
 
