@@ -52,6 +52,14 @@ def test_a_sample_beyond_what_the_axis_can_do_is_not_believed() -> None:
     assert not monitor.implausible(AXIS, LIMIT.jump_step, 1.0)
 
 
+def test_behind_a_reset_two_leaps_are_a_jump_as_ever() -> None:
+    bench, leap = Bench(), Seen(step=beyond(LIMIT.jump_step))
+    bench.monitor.restart()
+    assert [bench.show(leap) for _ in range(2)] == [{Fault.ENCODER_GLITCH}, {Fault.ENCODER_JUMP}]
+    bench.monitor.restart()
+    assert bench.show(leap) == {Fault.ENCODER_GLITCH}, "the leaps before it do not count"
+
+
 @pytest.mark.parametrize("counter", ["no_ack", "refused"])
 def test_traffic_without_trouble_is_no_part_of_a_streak(counter: str) -> None:
     bench, streak = Bench(), {"no_ack": 2, "refused": SAFETY.transmit_refused_limit}[counter]

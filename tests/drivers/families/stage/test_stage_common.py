@@ -11,7 +11,7 @@ from drivers.families import layouts, sides_of
 from drivers.families.stage.common import cut
 from drivers.frame import Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
-from drivers.protocols.base import EVERY_STATUS, OF_DRIVES, Command, Message, Reject
+from drivers.protocols.base import EVERY_STATUS, OF_DRIVES, Command, Message, Reject, Sample
 from tests.support.paths import RIGS
 
 LAYOUTS = [  # sequence_modulus, wrap of the time stamp, bytes of the command, of an answer
@@ -107,6 +107,19 @@ def test_a_segment_has_the_answers_of_its_own_axes() -> None:
 def test_a_rig_that_names_no_layout_gets_stage_fd_which_alone_of_the_two_is_plain() -> None:
     assert next(iter(layouts())) == "stage_fd" == BusConfig().protocol
     assert [sides_of(name).plain for name, *_ in LAYOUTS] == [True, False]  # type: ignore[union-attr]
+
+
+@each_layout
+def test_an_answer_beside_the_axes_identifiers_is_nobodys_however_sound(protocol: str) -> None:
+    """Its drives are those of another rig, whose identifiers begin one lower, and go one further."""
+    own, others = host(protocol, 2), device_protocol(BusConfig(protocol=protocol, feedback_id=0xFF), 4, [1.0] * 4, RIGS)  # type: ignore[call-arg]
+    heard = [own.decode(others.encode_feedback(Sample(axis, 5, 0, 3, 9))) for axis in range(4)]
+    assert [one.axis if isinstance(one, Sample) else one for one in heard] == [
+        Reject.UNKNOWN_ID,
+        0,
+        1,
+        Reject.UNKNOWN_ID,
+    ]
 
 
 def test_forces_of_too_few_or_too_many_axes_are_never_sent() -> None:
