@@ -12,6 +12,7 @@ from drivers.protocols.base import DriveStatus, Sample
 from hil.cycle.fault_evidence import AxisLimits
 from hil.cycle.fault_monitor import RECORDER_FIRST_NS, FaultMonitor
 from hil.cycle.fault_table import Fault
+from hil.cycle.rest_watch import SETTLED_S
 from hil.cycle.state_machine import State
 from hil.cycle.tick import Tick
 from tests.cycle.test_fault_thresholds import (
@@ -81,6 +82,24 @@ def test_swings_of_the_run_before_do_not_make_an_oscillation_of_this_one() -> No
     assert bench.show(Seen(setpoint=-off)) == set()
 
 
+@pytest.mark.parametrize(("half_period_s", "seen"), [(0.09, True), (0.11, False)])
+def test_what_turns_more_slowly_than_five_hertz_is_the_task_at_the_rigs_own_rate(
+    half_period_s: float, seen: bool
+) -> None:
+    bench, off, ticks = Bench(), LIMIT.oscillation, round(half_period_s * 1e9 / PERIOD_NS)
+    shown = [bench.show(Seen(setpoint=-off if k // ticks % 2 else off)) for k in range(5 * ticks)]
+    assert set().union(*shown) == ({Fault.OSCILLATION} if seen else set())
+
+
+def test_a_run_that_begins_at_a_later_index_has_missed_nothing() -> None:
+    monitor = FaultMonitor(SAFETY, LIMITS, PERIOD_NS, INNOVATION)
+    for index in (7, 8):
+        monitor.check_timing(Tick(index, index * PERIOD_NS, index * PERIOD_NS, PortCounters()))
+    assert monitor.active == 0
+    monitor.check_timing(Tick(10, 10 * PERIOD_NS, 10 * PERIOD_NS, PortCounters()))
+    assert [(found.fault, found.value) for found in monitor.evidence] == [(Fault.OVERRUN, 1.0)]
+
+
 @pytest.mark.requirement(id="SR-5.2")
 def test_where_an_axis_is_seen_first_after_a_reset_is_where_it_rests() -> None:
     bench, window = Bench(), round(LIMIT.rest_window / LIMIT.resolution)
@@ -98,6 +117,8 @@ def test_where_an_axis_is_seen_first_after_a_reset_is_where_it_rests() -> None:
     assert rests(0) == []
     moved = [rests(2 * window * k) for k in range(1, 4)]
     assert moved[-1] == [(AXIS, pytest.approx(6 * window * LIMIT.resolution))]
+    settled = round(SETTLED_S * 1e9) // PERIOD_NS
+    assert [bool(rests(6 * window)) for _ in range(settled + 2)] == [True] * settled + [False] * 2
 
 
 def test_an_axis_that_coasts_behind_a_run_has_moved_and_is_no_fault_of_standstill() -> None:
@@ -148,6 +169,15 @@ def test_of_two_drives_that_stay_enabled_the_first_is_named() -> None:
         bench.monitor.begin()
         bench.monitor.check_released(bench.inbox)
     assert says(bench, Fault.DRIVE_STAYS_ENABLED) == [(0, SAFETY.disable_timeout_ticks)]
+
+
+@pytest.mark.parametrize("other", [None, Sample(AXIS, 0, 0, 0, 0)])
+def test_only_a_drive_that_does_not_say_it_applies_torque_is_waited_for(other: Sample | None) -> None:
+    bench = Bench()
+    bench.inbox.samples = [Sample(0, 0, ENABLED, 0, 0), other]
+    bench.monitor.begin()
+    bench.monitor.flag_not_enabled(77, bench.inbox)
+    assert says(bench, Fault.ENABLE_TIMEOUT) == [(AXIS, 77.0)]
 
 
 def test_an_axis_that_never_answered_hides_no_other_ones_switch_or_status() -> None:

@@ -81,6 +81,7 @@ def test_a_layout_says_what_it_carries(
     assert all(said is True for said in (layout.checksum, layout.states, layout.causes, layout.resets))
     assert (layout.n_axes, list(layout.problems), layout.echo_id, list(layout.acts_ns)) == (3, [], None, [])
     assert (layout.stamp_wraps_ns, layout.state_ns) == ([wrap] * 3, 0)
+    assert layout.positions == [(-(2**31), 2**31 - 1)] * 3
 
 
 @pytest.mark.parametrize(("name", "fd", "modulus", "wrap", "command", "answer", "tells"), LAYOUTS)
