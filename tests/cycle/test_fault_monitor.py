@@ -119,6 +119,9 @@ def test_where_an_axis_is_seen_first_after_a_reset_is_where_it_rests() -> None:
     assert moved[-1] == [(AXIS, pytest.approx(6 * window * LIMIT.resolution))]
     settled = round(SETTLED_S * 1e9) // PERIOD_NS
     assert [bool(rests(6 * window)) for _ in range(settled + 2)] == [True] * settled + [False] * 2
+    assert [rests(8 * window), bool(rests(10 * window))] == [[], True]
+    bench.inbox.fresh[AXIS] = False  # a tick that brings no sample is a tick all the same
+    assert [bool(rests(0)) for _ in range(settled + 2)] == [True] * (settled - 1) + [False] * 3
 
 
 def test_an_axis_that_coasts_behind_a_run_has_moved_and_is_no_fault_of_standstill() -> None:

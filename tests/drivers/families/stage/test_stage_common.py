@@ -135,3 +135,7 @@ def test_a_drive_knows_its_command_by_its_identifier_and_no_frame_for_its_own(pr
     device = device_protocol(BusConfig(protocol=protocol), 2, [1.0, 1.0], RIGS)
     for can_id in (0, 1, 0x07F, 0x081, 0x100):
         assert device.decode_command(Frame(can_id, bytes(24))) is Reject.UNKNOWN_ID
+
+
+def test_of_no_frames_no_answer_is_read_at_once() -> None:
+    assert host("stage_fd").answers([]) == b""
