@@ -56,6 +56,7 @@ def test_an_axis_that_is_not_there_gets_no_force_and_no_enable() -> None:
 @pytest.mark.parametrize(("enable", "reset"), [(0, True), (0, False), (0b1111, True), (0b0101, False)])
 def test_a_reset_is_sent_whether_or_not_drives_are_enabled(enable: int, reset: bool) -> None:
     (frame,) = HOST.encode(Command(7, [0.0] * 4, enable, reset))
+    assert COMMAND.unpack(frame.data)[5] == enable | (0b10000 if reset else 0)
     read = DEVICE.decode_command(frame)
     assert isinstance(read, Command)
     assert (read.enable, read.reset) == (enable, reset)
