@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from drivers.config import BusConfig
 from drivers.families import layouts, sides_of
 from drivers.families.stage.common import cut
-from drivers.frame import Frame
+from drivers.frame import EXTENDED, Frame
 from drivers.protocols import LayoutError, device_protocol, host_protocol
 from drivers.protocols.base import EVERY_STATUS, OF_DRIVES, Command, Message, Reject, Sample
 from tests.support.paths import RIGS
@@ -121,6 +121,8 @@ def test_an_answer_beside_the_axes_identifiers_is_nobodys_however_sound(protocol
         1,
         Reject.UNKNOWN_ID,
     ]
+    for can_id, why in ((0x100, Reject.WRONG_FORMAT), (0x101, Reject.WRONG_FORMAT), (0x102, Reject.UNKNOWN_ID)):
+        assert own.decode(Frame(EXTENDED | can_id, bytes(8))) is why, "where ours is meant, its format is told"
 
 
 def test_forces_of_too_few_or_too_many_axes_are_never_sent() -> None:

@@ -78,7 +78,7 @@ def test_position_and_stamp_wrap_at_32_bits(counts: int, stamp_ns: int) -> None:
         sample = HOST.decode(frame._replace(timestamp_ns=stamp_ns + late_ns))
         assert isinstance(sample, Sample)
         assert sample.position == (counts + (1 << 31)) % (1 << 32) - (1 << 31)
-        assert sample.stamp_ns == stamp_ns
+        assert (sample.stamp_ns, sample.status, sample.sequence) == (stamp_ns, 0, 3)
 
 
 def test_a_status_that_no_drive_has_is_refused_and_damage_is_told_as_damage() -> None:
@@ -96,3 +96,6 @@ def test_a_frame_that_is_longer_shorter_or_classic_is_none() -> None:
     assert HOST.decode(frame._replace(data=frame.data[:12])) is Reject.WRONG_LENGTH
     assert HOST.decode(frame._replace(flags=frame.flags & ~(FD | BRS))) is Reject.WRONG_FORMAT
     assert DEVICE.decode_command(SENT._replace(flags=0)) is Reject.WRONG_FORMAT
+    assert DEVICE.decode_command(SENT._replace(data=SENT.data + bytes(8))) is Reject.WRONG_LENGTH
+    assert DEVICE.decode_command(SENT._replace(data=SENT.data[:20])) is Reject.WRONG_LENGTH
+    assert DEVICE.decode_command(SENT._replace(data=b"\1" + SENT.data[1:])) is Reject.BAD_CHECKSUM
