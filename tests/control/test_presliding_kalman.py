@@ -265,3 +265,55 @@ def test_while_the_mode_rings_the_table_learns_nothing() -> None:
             assert weights.calm() < 0.01
         else:
             assert weights.calm() == 1.0
+
+
+def guided(presliding: float) -> Model:
+    known = model(0.0)
+    known.presliding_greatest = presliding
+    return known
+
+
+def _on_a_spring(ramp: float, presliding: float = 20e-6) -> list[float]:
+    """Positions, m, of an axis that friction holds at rest as a spring. A force that changes evenly, as friction does
+    that gives way, pulls at it.
+    """
+    stiffness, damping, pull, parts = 6e4, 140.0, 0.2, 20  # N/m, N s/m, N/s; of a period
+    law = PreslidingKalman(guided(presliding), PERIOD, 10.0, ramp=ramp)
+    x = axis_inputs()
+    x.fresh = x.answered = 1.0
+    position, speed, positions = 0.0, 0.0, []
+    for tick in range(600):
+        x.position = position
+        asked = law.force(x)  # acts from the next sample on
+        for part in range(parts):
+            opposing = stiffness * position + damping * speed - pull * PERIOD * (tick + part / parts)
+            speed += PERIOD / parts * (x.force_last - opposing) / MASS
+            position += PERIOD / parts * speed
+        x.force_before, x.force_last = x.force_last, asked
+        positions.append(position)
+    return positions
+
+
+def test_at_rest_the_integral_follows_friction_that_gives_way() -> None:
+    """Without the ramp the axis creeps behind by a steady error; with it, most of that is gone 0.35 s later."""
+    behind = _on_a_spring(0.0)
+    assert _on_a_spring(0.01, presliding=0.0) == _on_a_spring(0.0, presliding=0.0)  # on ideal friction it would hunt
+    followed = _on_a_spring(0.01)
+    steady = sum(behind[350:]) / len(behind[350:])
+    assert steady > 20e-9
+    assert abs(sum(followed[350:])) / len(followed[350:]) < 0.2 * steady
+
+
+def test_what_is_no_creep_winds_up_no_ramp() -> None:
+    """An error beyond half the finest reach is an arrival or a step; and in motion there is none."""
+    law = PreslidingKalman(guided(20e-6), PERIOD, 10.0)
+    x = axis_inputs()
+    x.fresh = x.answered = 1.0
+    for position, winds in ((0.4e-6, False), (0.02e-6, True)):
+        x.position = position
+        for _ in range(30):
+            law.force(x)
+        assert (law._creep != 0.0) == winds
+    x.start.velocity = x.end.velocity = 1e-3
+    law.force(x)
+    assert law._creep == 0.0

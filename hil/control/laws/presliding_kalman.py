@@ -6,6 +6,8 @@ flexible mode inside the observer; a bias that is found.
 
 - z_i: operators of presliding friction (hil/control/laws/presliding_bank.py) on the reference r. s integrates the error
   through them: an integral whose loop gain does not depend on the guide's stiffness.
+- At rest, where the floor or noise shakes the axis, its friction gives way for seconds. That is a ramp of the force,
+  which s alone would follow with a steady error. So at rest s has a ramp of its own, which small errors feed.
 - w_i and dm: by a Kalman filter on the observer's innovations (hil/control/laws/weight_regression.py), only while the
   reference moves. Its regressors are the operators on the observed position, as the axis is not where the reference is;
   but measured friction itself is never fed forward, which would be positive feedback with delay.
@@ -47,6 +49,7 @@ MOVED_PERIODS = 200.0  # in motion, until the friction's stiffness counts as kno
 STRETCH = 4.0  # s stays within this many times the coarsest reach
 TABLE_LIMIT, LARGEST_STEP = 0.5, 0.2  # of the friction; of the table's change in a period
 CENTRE = 0.125
+CREEPING = 0.5  # of the finest reach: a larger error is an arrival or a step, after which a ramp would overshoot
 KEPT = WEIGHTS + 2 * NODES  # numbers of a learnt state before its force
 
 
@@ -74,6 +77,7 @@ class PreslidingKalman(Law):
             "1", "innovation that the weights leave, in parts of how far friction moves the axis"
         ),
         "integral": _of_model("1", "share of the error that s takes in a period"),
+        "ramp": Gain(0.01, "1", "share of the error that s's ramp takes in a period at rest, if presliding is stated"),
         "table_delay": _of_model("1", "periods that the disturbance's estimate lags"),
         "mode_noise": _of_model("1", "noise of the mode; see MotionModel.gains"),
         "mode_share": _of_model("1", "of the mode's frequency: what the observer takes it for"),
@@ -116,7 +120,10 @@ class PreslidingKalman(Law):
         self._rest_stiffness = shape * (rest_omega * rest_omega)
         self._rest_damping = shape * (2.0 * gain("rest_damping") * rest_omega)
         self._softness = 1.0 / (shape * (soft_omega * soft_omega))
-        self._integral = gain("integral")
+        self._integral, self._creeping = gain("integral"), CREEPING * gain("finest")
+        # On ideal friction, which gives way at once, an axis would hunt.
+        guided = full_like(shape, model.presliding_greatest) > 0.0
+        self._ramp = select(guided, gain("ramp"), zeros_like(shape))
         self._slopes: Bank = slopes(gain("finest"))
         self._most_shift = STRETCH * (gain("finest") * (RATIO * RATIO * RATIO * RATIO * RATIO))
         # Friction of the model, or what is not nothing against the force limit.
@@ -189,6 +196,7 @@ class PreslidingKalman(Law):
         self._forward = PositionTable(full_like(position, self._pitch), full_like(position, self._table_limit))
         self._backward = PositionTable(full_like(position, self._pitch), full_like(position, self._table_limit))
         self._shift, self._rest, self._stiff, self._moved = zero, one, one, zero
+        self._creep = zero  # error that would make s move as it goes on moving at rest, m
         self._lagged = gravity  # force behind the lag that the feedforward has come to
         self._known_last, self._known_before = gravity, gravity  # feedforward of the last two forces
         self._force_before = full_like(position, force)
@@ -279,7 +287,11 @@ class PreslidingKalman(Law):
         rests = (v0 == 0.0) & (v1 == 0.0)
         weights = self._weights.friction()
         self._schedule(rests, weights)
-        shift = bounded(self._shift - self._integral * (observer.e + observer.x), self._most_shift)
+        error = observer.e + observer.x
+        none = zeros_like(error)
+        crept = self._creep + self._ramp * select(abs(error) < self._creeping, error, none)
+        self._creep = creep = select(self._rest < 1.0, none, crept)
+        shift = bounded(self._shift - self._integral * (error + creep), self._most_shift)
         more = 0.5 * (shift - self._shift)
         self._shift = shift
         # Through the interval's middle, by a cubic; a reference that jumps at rest jumps at the beginning.
