@@ -104,4 +104,5 @@ def measured_finding(rig: RigConfig, response: LoopResponse, axis: str, path: Pa
     beyond = np.abs(turned - turned[0]) > np.pi  # from where on the one has gone round -1 more often than the other
     stable = not beyond[-1]
     where = met.tightest_at if stable else float(here[beyond.argmax()])
-    return CornerFinding(axis, f"measured ({path.name})", False, True, stable, met.gain_db, met.phase_margin, where)
+    found, known = (stable, met.gain_db, met.phase_margin, where), rig.axes[axis].tolerances.known > 0.0
+    return CornerFinding(axis, f"measured ({path.name})", False, True, *found, known)

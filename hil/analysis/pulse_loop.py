@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hil.analysis.flexible_plant import AxisDynamics, FlexiblePlant
 from hil.control.estimator import behind_estimator
 from hil.control.estimator.gains import design_gains
 from hil.control.estimator.motion_filter import MotionFilter
@@ -62,6 +63,20 @@ class RigidPlant:
         self.error, self.rate = error.copy(), rate.copy()
 
 
+def nominal_plant(model: Model, period: float, shape: tuple[int, ...], gain: float | Array = 1.0) -> Plant:
+    """The axes as the model says, without friction; lag and mode of those that have a mode. A law that lives on its
+    mode is unstable on a rigid axis. gain: nominal mass over the true one, for all axes or each (n_axes,).
+    """
+    mass, modes = model.mass / gain, zip(model.mode_frequency, model.mode_damping, model.mode_load, strict=True)
+    if not np.any(model.mode_frequency):
+        return RigidPlant(mass, period, shape)
+    axes = [
+        AxisDynamics(own, lag, *mode) if mode[0] else AxisDynamics(own)
+        for own, lag, mode in zip(mass, model.torque_lag, modes, strict=True)
+    ]
+    return FlexiblePlant([axes] * shape[0], period)
+
+
 class PulseLoop:
     """Filter and law as in the cycle, around m a = force - (what the reference needs).
 
@@ -93,7 +108,7 @@ class PulseLoop:
             + model.quadratic * (self._speed * self._speed)
             + model.gravity
         )  # N, friction along the reference
-        self.plant: Plant = RigidPlant(model.mass, self.period, shape)
+        self.plant = nominal_plant(model, self.period, shape)
         self._net = [np.zeros(shape) for _ in range(2)]  # force less what the reference needs: last, before
         self._index = 0
         self._filter.reseed(np.zeros(shape))
@@ -225,7 +240,7 @@ def loop_of(rig: RigConfig, trials: Sequence[Trial]) -> PulseLoop:
 
 def try_together(loop: PulseLoop, trials: Sequence[Trial]) -> None:
     """Settle the loop, then try its copies, which are the trials' in their order: the law's lines cost as much for ten
-    rows as for a hundred. Before, it settles on the rigid nominal plant from a start that no rig has, at full speed.
+    rows as for a hundred. Before, it settles on the nominal plant from a start that no rig has, at full speed.
     """
     per_copy, period = loop.shape[0] // sum(trial.copies for trial in trials), loop.period
     edges = np.cumsum([trial.copies for trial in trials])[:-1]
@@ -327,12 +342,10 @@ def responses(loop: PulseLoop, plant: Plant, ticks: int) -> tuple[Array, Array]:
 
 
 def pulse_response(rig: RigConfig, ticks: int, plant_gain: float | Array = 1.0) -> tuple[Array, Array]:
-    """`responses`, (ticks, n_axes), on a rigid plant. plant_gain: nominal mass over the true one, for all axes or each
-    (n_axes,).
-    """
+    """`responses`, (ticks, n_axes), on the nominal plant. plant_gain: as in `nominal_plant`."""
     model = rig_model(rig)
     loop = PulseLoop(rig, model)
-    plant = RigidPlant(model.mass / plant_gain, rig.period_ns * 1e-9, loop.shape)
+    plant = nominal_plant(model, loop.period, loop.shape, plant_gain)
     answer, motion = responses(loop, plant, ticks)
     return answer[:, 0], motion[:, 0]
 
@@ -343,10 +356,10 @@ def pulse_and_kick(rig: RigConfig, ticks: int, beside: Sequence[Trial] = ()) -> 
     """
     model = rig_model(rig)
 
-    def rigid(rows: int) -> Plant:
-        return RigidPlant(model.mass, rig.period_ns * 1e-9, (rows, model.mass.size))
+    def nominal(rows: int) -> Plant:
+        return nominal_plant(model, rig.period_ns * 1e-9, (rows, model.mass.size))
 
-    pulsed = Pulsed(rigid, 2, ticks, kicked=True)
+    pulsed = Pulsed(nominal, 2, ticks, kicked=True)
     try_together(loop_of(rig, [pulsed, *beside]), [pulsed, *beside])
     return pulsed.answer[:, 0], pulsed.motion[:, 0], pulsed.motion[:, 1]
 

@@ -20,8 +20,8 @@ from hil.analysis.pulse_loop import (
     SETTLE,
     Plant,
     PulseLoop,
-    RigidPlant,
     loop_of,
+    nominal_plant,
     try_together,
 )
 from hil.control.laws.base import Array
@@ -52,16 +52,29 @@ class HeldPlant:
         self.error, self.rate = error + self._offset, np.zeros_like(rate)
 
 
-class PushedPlant(RigidPlant):
-    """A rigid axis under a constant force beside the law's, N, (rows, n_axes)."""
+class PushedPlant:
+    """A plant under a constant force beside the law's, N, (rows, n_axes)."""
 
-    def __init__(self, mass: Array, period: float, push: Array) -> None:
-        super().__init__(mass, period, push.shape)
-        self._push = push
+    def __init__(self, plant: Plant, push: Array) -> None:
+        self._plant, self._push = plant, push
+
+    @property
+    def error(self) -> Array:
+        """See Plant."""
+        return self._plant.error
+
+    @property
+    def rate(self) -> Array:
+        """See Plant."""
+        return self._plant.rate
 
     def advance(self, force: Array) -> None:
         """On by one period."""
-        super().advance(force + self._push)
+        self._plant.advance(force + self._push)
+
+    def place(self, error: Array, rate: Array) -> None:
+        """See Plant."""
+        self._plant.place(error, rate)
 
 
 class Held:
@@ -112,13 +125,14 @@ def pushes_away(rig: RigConfig) -> Any:
 
 def _creeps(rig: RigConfig) -> Any:
     """Which axes creep away under a constant push: bool, (n_axes,)."""
-    loop, averages = PulseLoop(rig, rig_model(rig)), []
-    quiet, mass = np.zeros(loop.shape), rig_model(rig).mass
+    model = rig_model(rig)
+    loop, averages = PulseLoop(rig, model), []
+    quiet, plant = np.zeros(loop.shape), nominal_plant(model, loop.period, loop.shape)
     creeps = np.zeros(len(rig.axes), dtype=bool)
     with np.errstate(all="ignore"):
         for _ in range(SETTLE):
             loop.step(quiet)
-        loop.change_plant(PushedPlant(mass, loop.period, loop.pulse() * mass / loop.period**2))
+        loop.change_plant(PushedPlant(plant, loop.pulse() * model.mass / loop.period**2))
         for _ in range(MOST_BLOCKS):
             averages.append(np.mean([loop.beyond(loop.step(quiet))[0] for _ in range(BLOCK)], axis=0))
             if len(averages) < FEWEST:

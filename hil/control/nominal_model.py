@@ -13,6 +13,7 @@ def rig_model(rig: RigConfig) -> Model:
     it.
     """
     axes = [axis.model for axis in rig.axes.values()]
+    known = [axis.tolerances.known for axis in rig.axes.values()]
     return Model(
         mass=np.array([a.mass for a in axes]),
         coulomb=np.array([a.coulomb for a in axes]),
@@ -25,6 +26,7 @@ def rig_model(rig: RigConfig) -> Model:
         mode_load=np.array([a.mode_load for a in axes]),
         presliding_least=np.array([min(a.presliding, default=0.0) for a in axes]),
         presliding_greatest=np.array([max(a.presliding, default=0.0) for a in axes]),
+        known=np.array(known),
     )
 
 

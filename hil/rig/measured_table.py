@@ -37,6 +37,13 @@ class Tolerances(NamedTuple):
     lag: float = 0.2
     friction: float = 0.3
 
+    @property
+    def known(self) -> float:
+        """How well mass, resonance and lag are known: 1 within KNOWN, 0 from twice that on; that of them which is known
+        least.
+        """
+        return min(min(1.0, max(0.0, 2.0 - mine / least)) for mine, least in zip(self[:3], KNOWN, strict=False))
+
     def text(self) -> str:
         """For people: 'mass 2 %, resonance 1 %, lag 5 %, viscous friction 10 %'."""
         names = ("mass", "resonance", "lag", "viscous friction")
@@ -45,6 +52,7 @@ class Tolerances(NamedTuple):
         )
 
 
+KNOWN = Tolerances(0.02, 0.02, 0.05, 0.1)  # what the quicker gains of presliding-kalman are made for
 LEAST = Tolerances(0.02, 0.01, 0.05, 0.1)  # whatever was measured: a stage changes with temperature and wear
 SAME = 1e-5  # relative: the model has the measured value
 

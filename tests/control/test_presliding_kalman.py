@@ -12,7 +12,7 @@ from hil.control.laws.base import Model, axis_inputs
 from hil.control.laws.motion_observer import MotionModel, MotionObserver
 from hil.control.laws.position_table import PositionTable
 from hil.control.laws.presliding_bank import Bank, moved, slopes, weighed
-from hil.control.laws.presliding_gains import SWINGS, of_model
+from hil.control.laws.presliding_gains import OF_MODE, SWINGS, of_model
 from hil.control.laws.presliding_kalman import PreslidingKalman
 from hil.control.laws.weight_regression import Weights, diagonal, learnt
 from hil.control.nominal_model import rig_model
@@ -149,19 +149,32 @@ def test_gains_of_floats_and_of_arrays_are_the_same_bits() -> None:
 
 def test_a_rigid_axis_whose_model_states_presliding_integrates_more_slowly() -> None:
     """Of three axes: rigid without and with presliding, and one with a mode and presliding; as floats and as arrays."""
-    swings, presliding = np.array([0.0, 0.0, 0.2]), np.array([0.0, 20e-6, 20e-6])
-    both = of_model("integral", swings, presliding)
+    swings, presliding, zeros = np.array([0.0, 0.0, 0.2]), np.array([0.0, 20e-6, 20e-6]), np.zeros(3)
+    both = of_model("integral", swings, presliding, zeros)
     assert both.tolist() == [0.1, 0.06, 0.08]
     assert [
-        of_model("integral", s, d) for s, d in zip(swings.tolist(), presliding.tolist(), strict=True)
+        of_model("integral", s, d, 0.0) for s, d in zip(swings.tolist(), presliding.tolist(), strict=True)
     ] == both.tolist()
-    assert of_model("bandwidth", swings, presliding).tolist() == [0.2228, 0.2228, 0.1488]
+    assert of_model("bandwidth", swings, presliding, zeros).tolist() == [0.2228, 0.2228, 0.1488]
     stated, ideal = (rig_model(load_rig(RIGS / f"{name}.toml")) for name in ("microscope", "microscope-ideal"))
     assert list(zip(stated.presliding_least, stated.presliding_greatest, strict=True))[2:] == [
         (3e-6, 20e-6),
         (3e-6, 12e-6),
     ]
     assert not any(ideal.presliding_greatest)
+
+
+def test_the_gains_follow_how_well_a_mode_is_known() -> None:
+    """Of a rigid axis nothing changes. Half known is half way between what nobody knows and what was measured. Where
+    nothing is known, each gain is that of the table, to the bit.
+    """
+    swings = np.array([0.0, 0.15, 0.2, 0.2])
+    assert of_model("bandwidth", swings, np.zeros(4), np.array([1.0, 1.0, 1.0, 0.5])).tolist() == pytest.approx(
+        [0.2228, 0.1931, 0.2098, 0.5 * (0.1488 + 0.2098)]
+    )
+    assert of_model("integral", 0.2, 0.0, 1.0) == of_model("integral", 0.2, 0.0, 0.0) == 0.08
+    for name, (_, flexible) in OF_MODE.items():
+        assert of_model(name, SWINGS[0], 0.0, 0.0) == flexible[0]
 
 
 def test_operators_turn_round_over_their_reach() -> None:

@@ -64,6 +64,7 @@ def test_the_loop_is_tried_within_what_was_measured(tmp_path: Path) -> None:
     assert rig.axes["x"].tolerances == pytest.approx((0.02, 6.0 / 196.0, 0.2, 0.3)), "at least 2 % of mass"
     assert load_rig(source).axes["x"].tolerances == Tolerances()
     assert load_rig(made, ["axes.x.model.mass=0.91"]).axes["x"].tolerances.mass == 0.2, "no longer what was measured"
+    assert rig.axes["x"].tolerances.known == 0.0, "lag is not measured"
     corners = {one.corner for one in check_corners(rig, REALISED) if one.axis == "x"}
     assert "mass -2%, mode +3%" in corners
     assert "mass -20%, mode +10%" not in corners
@@ -72,3 +73,12 @@ def test_the_loop_is_tried_within_what_was_measured(tmp_path: Path) -> None:
         "axis 'x': corners from [axes.x.measured] of 2026-01-01: mass 2 %, resonance 3.1 %, lag 20 %, "
         "viscous friction 30 %"
     ]
+
+
+def test_an_axis_is_known_as_well_as_its_least_known_value() -> None:
+    assert Tolerances().known == 0.0
+    assert Tolerances(0.02, 0.02, 0.05).known == Tolerances(0.01, 0.01, 0.01, 0.01).known == 1.0
+    assert Tolerances(0.02, 0.03, 0.05).known == pytest.approx(0.5)
+    assert Tolerances(0.03, 0.01, 0.05).known == pytest.approx(0.5)
+    assert Tolerances(0.02, 0.01, 0.09).known == pytest.approx(0.2)
+    assert Tolerances(0.02, 0.01, 0.3).known == 0.0, "worse than nobody knows"

@@ -34,6 +34,7 @@ class Model:
     supply to hold the axis. torque_lag: s, of the force behind its command. mode_frequency: Hz, at which the tool rings
     on its spring while the motor is held, 0: a rigid axis; mode_damping: its damping ratio; mode_load: its part of the
     mass. presliding_least, presliding_greatest: m (rad), Coulomb friction over its stiffness at rest; 0: not stated.
+    known: how well mass, mode and lag are measured, 0 (not at all) to 1 (within hil.rig.measured_table.KNOWN).
     """
 
     mass: Number
@@ -47,6 +48,7 @@ class Model:
     mode_load: Number = 0.0
     presliding_least: Number = 0.0
     presliding_greatest: Number = 0.0
+    known: Number = 0.0
 
 
 def axis_model(whole: Any, index: int) -> Model:
@@ -57,7 +59,7 @@ def axis_model(whole: Any, index: int) -> Model:
     values = (
         whole.mass, whole.coulomb, whole.viscous, whole.quadratic, whole.gravity,
         whole.torque_lag, whole.mode_frequency, whole.mode_damping, whole.mode_load,
-        whole.presliding_least, whole.presliding_greatest,
+        whole.presliding_least, whole.presliding_greatest, whole.known,
     )  # fmt: skip
     return Model(*(value if isinstance(value, float) else float(value[index]) for value in values))
 

@@ -17,7 +17,6 @@ from hil.control.number import Number, at_least, bounded, copy, zeros_like
 
 WEIGHTS = 7
 RINGING = 2.0  # times what the throw makes the mode swing by: noise to the weights
-SHAKEN = 20.0  # times what a change of the reference's acceleration does, which is known less well
 MOST_MASS = 0.5  # of the model's mass: what it may be off by
 
 Deviations = tuple[Number, Number]  # of a weight of friction, N; of the mass, kg
@@ -28,14 +27,15 @@ class FrictionWeights:
 
     def __init__(
         self, mass: Number, motion: MotionModel, slopes: Bank, play: Number, noise: Number, prior: Deviations,
-        walk: Deviations,
+        walk: Deviations, *, shaken: Number,
     ) -> None:  # fmt: skip
         """slopes: of the operators, 1/m. play: motion within it counts as noise, m. noise: of the force that they
-        leave, N. prior, walk: standard deviations at the start, and gained in a period.
+        leave, N. prior, walk: standard deviations at the start, and gained in a period. shaken: times what a change of
+        the reference's acceleration makes the mode swing by counts as noise.
         """
         self._motion, self._slopes, self._play = motion, slopes, play
         self._most_mass = MOST_MASS * mass
-        self._shaken = SHAKEN * motion.swing * mass  # m per m/s^2
+        self._shaken = shaken * motion.swing * mass  # m per m/s^2
         noise = noise * motion.e_d
         self._noise = noise * noise
         self._prior, self._walk = _variances(prior), _variances(walk)

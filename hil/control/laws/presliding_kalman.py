@@ -81,6 +81,9 @@ class PreslidingKalman(Law):
         "table_delay": _of_model("1", "periods that the disturbance's estimate lags"),
         "mode_noise": _of_model("1", "noise of the mode; see MotionModel.gains"),
         "mode_share": _of_model("1", "of the mode's frequency: what the observer takes it for"),
+        "shaken": _of_model(
+            "1", "noise to the weights where the reference shakes the mode, in parts of what it makes that swing by"
+        ),
         "soft_bandwidth": Gain(0.6, "rad", "an axis that rings below it on its friction's stiffness counts as soft"),
         "friction_prior": Gain(0.3, "1", "of a weight at the start, in parts of Coulomb friction"),
         "friction_walk": Gain(0.002, "1", "of a weight in a period, in parts of Coulomb friction"),
@@ -100,7 +103,9 @@ class PreslidingKalman(Law):
         def gain(name: str) -> Number:
             value: Number | None = given[name]
             if value is None:
-                return of_model(name, swings, full_like(shape, model.presliding_greatest))
+                return of_model(
+                    name, swings, full_like(shape, model.presliding_greatest), full_like(shape, model.known)
+                )
             return full_like(shape, value)
 
         self._model, self._period, self._limit = model, period, full_like(shape, force_limit)
@@ -131,7 +136,7 @@ class PreslidingKalman(Law):
         self._weights = FrictionWeights(
             shape, motion, self._slopes, gain("play"), gain("innovation_noise") * dry,
             (gain("friction_prior") * dry, gain("mass_prior") * shape),
-            (gain("friction_walk") * dry, gain("mass_walk") * shape),
+            (gain("friction_walk") * dry, gain("mass_walk") * shape), shaken=gain("shaken"),
         )  # fmt: skip
         self._pitch, self._table_limit = gain("table_pitch"), TABLE_LIMIT * dry
         self._table_gain = gain("table_rate") * (period / self._pitch)
