@@ -101,8 +101,8 @@ class CornerFinding:
 
     def lacks(self, *, least: bool = False) -> str:
         """What is missing to the margins that are asked for, with axis and corner. These are 6 dB (of a measured axis
-        4.5 dB) and 30 deg nominal, 3 dB and 15 deg off it, 4.5 dB at rest. With `least`: to a loop that is stable. Empty
-        for nothing.
+        4.5 dB) and 30 deg nominal, 3 dB and 15 deg off it, 4.5 dB at rest. With `least`: to a loop that is stable.
+        Empty for nothing.
         """
         short = self.shortfall(least=least)
         return f"axis '{self.axis}', {self.corner}: {short}" if short else ""

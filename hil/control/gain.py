@@ -66,7 +66,7 @@ _GIVEN_BY_PLACE = 3  # model, period, force_limit
 
 
 def not_taken(made: Callable[..., Any], gains: Iterable[str]) -> list[str]:
-    """The gains among `gains` that a law's class does not take by name behind model, period and force limit: a rig file
+    """The gains among `gains` that a law's class does not take by name behind model, period and force limit. A rig file
     or the tuner could not set them, or the force limit would be taken for one.
     """
     import inspect  # of users' laws alone
