@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from hil.control.laws.base import Array
 
@@ -33,6 +32,8 @@ class AxisDynamics(NamedTuple):
 
     def step_matrices(self, period: float) -> tuple[Array, Array]:
         """x(k+1) = a x(k) + b u(k): a (5, 5), b (5,)."""
+        from scipy.linalg import expm  # of axes with a resonance alone: the control process has no other use for it
+
         a, b = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
         load = self.mode_load * self.mass if self.mode_hz else 0.0
         motor = self.mass - load
