@@ -309,11 +309,11 @@ class Pulsed:
         return over
 
 
-class _Kicked:
-    """A plant that begins faster than it is asked to."""
+class PlantAround:
+    """Another plant; a subclass changes what is asked of it."""
 
-    def __init__(self, plant: Plant, kick: Array) -> None:
-        self._plant, self._kick = plant, kick
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
 
     @property
     def error(self) -> Array:
@@ -331,7 +331,19 @@ class _Kicked:
 
     def place(self, error: Array, rate: Array) -> None:
         """See Plant."""
-        self._plant.place(error, rate + self._kick)
+        self._plant.place(error, rate)
+
+
+class _Kicked(PlantAround):
+    """A plant that begins faster than it is asked to."""
+
+    def __init__(self, plant: Plant, kick: Array) -> None:
+        super().__init__(plant)
+        self._kick = kick
+
+    def place(self, error: Array, rate: Array) -> None:
+        """See Plant."""
+        super().place(error, rate + self._kick)
 
 
 def responses(loop: PulseLoop, plant: Plant, ticks: int) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from hil.analysis.pulse_loop import (
     PULSE,
     SETTLE,
     Plant,
+    PlantAround,
     PulseLoop,
     loop_of,
     nominal_plant,
@@ -52,29 +53,16 @@ class HeldPlant:
         self.error, self.rate = error + self._offset, np.zeros_like(rate)
 
 
-class PushedPlant:
+class PushedPlant(PlantAround):
     """A plant under a constant force beside the law's, N, (rows, n_axes)."""
 
     def __init__(self, plant: Plant, push: Array) -> None:
-        self._plant, self._push = plant, push
-
-    @property
-    def error(self) -> Array:
-        """See Plant."""
-        return self._plant.error
-
-    @property
-    def rate(self) -> Array:
-        """See Plant."""
-        return self._plant.rate
+        super().__init__(plant)
+        self._push = push
 
     def advance(self, force: Array) -> None:
         """On by one period."""
-        self._plant.advance(force + self._push)
-
-    def place(self, error: Array, rate: Array) -> None:
-        """See Plant."""
-        self._plant.place(error, rate)
+        super().advance(force + self._push)
 
 
 class Held:

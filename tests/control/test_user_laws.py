@@ -112,23 +112,30 @@ def test_a_law_chosen_by_an_override_is_a_file_where_the_user_stands(
     assert "HERE" not in load_rig(rig_file).law.source  # a path in a file is relative to the file
 
 
-def test_a_gain_that_the_constructor_does_not_take_is_refused_with_its_name(rig_file: Path) -> None:
-    text = "from hil import Law\n\n\nclass Deaf(Law):\n    GAINS = {'heard': 1.0, 'unheard': None}\n"
-    text += "    def __init__(self, model, period, force_limit, heard=1.0):\n        pass\n"
+@pytest.mark.parametrize(
+    ("gains", "takes", "refused"),
+    [
+        (
+            "{'heard': 1.0, 'unheard': None}",
+            "force_limit, heard=1.0",
+            r"GAINS has unheard, which Own\(\) does not take",
+        ),
+        (
+            "{'kp': None}",
+            "kp=None, **others",
+            r"kp, which Own\(\) does not take by name behind model",
+        ),  # the limit's place
+    ],
+)
+def test_a_gain_that_the_constructor_does_not_take_is_refused_with_its_name(
+    gains: str, takes: str, refused: str, rig_file: Path
+) -> None:
+    text = f"from hil import Law\n\n\nclass Own(Law):\n    GAINS = {gains}\n"
+    text += f"    def __init__(self, model, period, {takes}):\n        pass\n"
     text += "    def force(self, inputs):\n        return 0.0\n"
-    (rig_file.parent / "deaf.py").write_text(text)
-    rig = load_rig(rig_file, ["law.name=./deaf.py:Deaf"])
-    with pytest.raises(ValueError, match=r"GAINS has unheard, which Deaf\(\) does not take"):
-        make_axis_laws(rig.law, rig_model(rig), 1e-3, np.ones(2))
-
-
-def test_the_force_limit_is_never_taken_for_a_gain(rig_file: Path) -> None:
-    text = "from hil import Law\n\n\nclass Short(Law):\n    GAINS = {'kp': None}\n"
-    text += "    def __init__(self, model, period, kp=None, **others):\n        pass\n"
-    text += "    def force(self, inputs):\n        return 0.0\n"
-    (rig_file.parent / "short.py").write_text(text)
-    rig = load_rig(rig_file, ["law.name=./short.py:Short"])
-    with pytest.raises(ValueError, match=r"kp, which Short\(\) does not take by name behind model"):
+    (rig_file.parent / "own.py").write_text(text)
+    rig = load_rig(rig_file, ["law.name=./own.py:Own"])
+    with pytest.raises(ValueError, match=refused):
         make_axis_laws(rig.law, rig_model(rig), 1e-3, np.ones(2))
 
 
