@@ -62,11 +62,11 @@ def rank(name: str, weight: float, seed: str) -> float:
     return (64.0 * math.log(2.0) - math.log(drawn)) / weight
 
 
-def pairs(only: str, there: set[str], seed: str) -> list[tuple[str, str]]:
-    """(command, surroundings) in the order in which they are tried."""
+def pairs(only: str, there: set[str], seed: str, part: int = 0, parts: int = 1) -> list[tuple[str, str]]:
+    """(command, surroundings) in the order in which they are tried; part: of how many, no command in two of them."""
     names = [
         (case, name)
-        for case in CASES
+        for case in sorted(CASES)[part::parts]
         for name, over in SURROUNDINGS.items()
         if there.issuperset(over.needs) and only in f"{case}: {name}"
     ]
@@ -110,12 +110,17 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", default="", help="pairs with this in `COMMAND: SURROUNDINGS`")
     parser.add_argument("--pairs", type=int, default=None, help="try so many of them [as many as there is time for]")
     parser.add_argument("--seed", default=commit(), help="of the order [the commit]")
+    parser.add_argument("--part", default="0/1", help="K/N: the Kth part of the commands, to run beside the others")
+    parser.add_argument("--held", type=Path, help="skip the pairs in this file, and add those that hold")
     asked = parser.parse_args(arguments)
     there = have()
     for name in {need for over in SURROUNDINGS.values() for need in over.needs} - there:
         print(f"NOT RUN: what needs {name}")
     until = time.monotonic() + 60.0 * asked.minutes
-    chosen = pairs(asked.only, there, asked.seed)[: asked.pairs]
+    part, parts = map(int, asked.part.split("/"))
+    before = set(asked.held.read_text().splitlines()) if asked.held and asked.held.exists() else set()
+    chosen = pairs(asked.only, there, asked.seed, part, parts)[: asked.pairs]
+    chosen = [pair for pair in chosen if ": ".join(pair) not in before]
     with tempfile.TemporaryDirectory(prefix="hil-hostile-") as directory:
         os.chmod(directory, 0o755)
         lane = Lane(Path(directory))
@@ -128,6 +133,9 @@ def main(arguments: Sequence[str]) -> int:
             if why:
                 failed += 1
                 _show(name, at, why, ended)
+            elif asked.held:
+                with asked.held.open("a") as file:
+                    print(f"{name}: {at}", file=file)
     print(f"ran: {done} of {len(chosen)} pairs of command and surroundings, {done - failed} held")
     return 1 if failed or not done else 0
 
