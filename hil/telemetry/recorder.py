@@ -7,6 +7,7 @@ each), and `cells` where cells are injected. recording.py reads them.
 """
 
 import contextlib
+import errno
 import json
 import os
 import time
@@ -31,7 +32,7 @@ from hil.rig.schema import RigConfig
 from hil.telemetry import cycle_codec, events_pb2
 from hil.telemetry import telemetry_pb2 as pb
 from hil.telemetry.event_codec import encode
-from hil.telemetry.recording import RUN_ATTACHMENT, TOPICS, RecordingError
+from hil.telemetry.recording import RUN_ATTACHMENT, TOPICS
 from hil.telemetry.tick_codec import TickEncoder
 from hil.telemetry.tick_schema import TICK, TickSchema
 
@@ -241,7 +242,7 @@ class LockstepRecorder:
     """Records a lockstep run as the sidecar records a live one: give `observe` to hil.virtual.lockstep as its observer.
 
     rig_file: where the rig was read from (files it names are beside it). baseline: that the run is held
-    against. Raises RecordingError when it cannot write.
+    against. Raises OSError, which names the file, when it cannot write.
     """
 
     def __init__(self, path: Path, rig: RigConfig, rig_file: Path, baseline: dict[str, Any] | None = None) -> None:
@@ -289,7 +290,7 @@ class LockstepRecorder:
 
     def _check(self) -> None:
         if self._recorder.errors:
-            raise RecordingError(f"{self._recorder.path}: cannot be written: {self._recorder.problem}")
+            raise OSError(errno.EIO, f"cannot be written: {self._recorder.problem}", str(self._recorder.path))
 
 
 def write_batch(recorder: Recorder, records: cycle_codec.Records, *, first: int, lost: int) -> None:

@@ -144,12 +144,8 @@ def _recorder(path: Path | None, config: RigConfig, rig: Path, baseline: dict[st
     if path is None:
         return None
     from hil.telemetry.recorder import LockstepRecorder
-    from hil.telemetry.recording import RecordingError
 
-    try:
-        return LockstepRecorder(path, config, rig, baseline)
-    except RecordingError as error:
-        raise typer.BadParameter(str(error), param_hint="--record") from None
+    return LockstepRecorder(path, config, rig, baseline)
 
 
 def _show(console: Console, config: RigConfig, report: Any, traces: Any, picture: Path | None) -> None:

@@ -76,6 +76,18 @@ def test_a_folder_that_cannot_be_made_is_named_in_one_line(tmp_path: Path, hil_h
     assert result.stderr == f"hil: {tmp_path}/file/in: Not a directory\n"
 
 
+def test_a_recording_that_finds_no_more_room_is_named_in_one_line(tmp_path: Path) -> None:
+    """As on a full disk: 5000 bytes take its beginning, and no batch of ticks."""
+    words = [sys.executable, "-m", "hil", "sim", str(PAPER), "--seconds", "0.5", "--record", str(tmp_path / "s.mcap")]
+    limit = (5000, 5000)
+    ended = subprocess.run(
+        words, capture_output=True, text=True, check=False, cwd=tmp_path,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limit),
+    )  # fmt: skip
+    assert ended.returncode == EXIT_FILE
+    assert ended.stderr == f"hil: {tmp_path}/s.mcap: cannot be written: File too large\n"
+
+
 @pytest.mark.parametrize("words", [["monitor", "--once"], ["command", str(PAPER), "stop"], ["blackbox", str(PAPER)]])
 def test_a_runtime_directory_that_cannot_be_made_is_named_in_one_line(
     tmp_path: Path, words: list[str], hil_here: CommandLine, monkeypatch: pytest.MonkeyPatch
