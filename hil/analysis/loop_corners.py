@@ -26,6 +26,7 @@ MASS_OFF, MODE_OFF, LAG_OFF, FRICTION_OFF = UNMEASURED = Tolerances()
 STUCK_STIFFNESSES = 7  # tried between the ends of the presliding range
 STUCK_DAMPING = 0.15  # least damping ratio of an axis stuck on its guide
 ANSWER = 2000  # ticks
+FADED = 1e-6  # of a pulse, after which a corner's answer ends: what follows is less than 0.01 dB of any margin
 
 
 class Corner(NamedTuple):
@@ -175,7 +176,7 @@ class CornerTrial(Pulsed):
         self._rig = rig
         self._corners = corners = [*_distinct(rig, sliding_corners()), *_distinct(rig, stuck_corners())]
         speed = np.array([CRUISE if corner.stuck is None else 0.0 for corner in corners])
-        super().__init__(self._flexible, len(corners), ticks, speed=speed)
+        super().__init__(self._flexible, len(corners), ticks, speed=speed, faded=FADED)
 
     def _flexible(self, rows: int) -> FlexiblePlant:
         axes = self._rig.axes.values()

@@ -266,9 +266,9 @@ class Pulsed:
 
     A force that alternates from tick to tick shows in the speed alone, as every sample falls on a node of the position.
     plant: from the pulse on, for so many rows. Both less those of a loop without the pulse: an integrator or an
-    observer that has not settled yet still moves. Zero from where nothing is left of it. Infinite where the loop
-    circles by itself. kicked: the last copy gets a unit kick in place of the pulse: one pulse a period faster, of a
-    force of an instant.
+    observer that has not settled yet still moves. Zero from where less than `faded` of a pulse is left. Infinite where
+    the loop circles by itself. kicked: the last copy gets a unit kick in place of the pulse: one pulse a period faster,
+    of a force of an instant.
     """
 
     def __init__(
@@ -278,9 +278,10 @@ class Pulsed:
         ticks: int,
         *,
         speed: float | Array = CRUISE,
+        faded: float = FADED,
         kicked: bool = False,
     ) -> None:
-        self.copies, self._plant, self._ticks, self._kicked = copies, plant, ticks, kicked
+        self.copies, self._plant, self._ticks, self._faded, self._kicked = copies, plant, ticks, faded, kicked
         self.speed: Array = np.broadcast_to(speed, copies)
         self._alone = self.answer = self.motion = np.zeros(0)
 
@@ -300,7 +301,7 @@ class Pulsed:
         answer[tick], alone[tick] = loop.beyond(errors)[own], loop.alone(errors)[own]
         motion[tick] = loop.beyond(loop.motion())[own]
         over, latest = tick + 1 == self._ticks, slice(tick + 1 - LOOKED, tick + 1)
-        if tick % LOOKED == LOOKED - 1 and _faded(answer[latest], motion[latest], alone[latest]):
+        if tick % LOOKED == LOOKED - 1 and _left(answer[latest], motion[latest], alone[latest]) < self._faded:
             alone[tick + 1 :] = alone[tick]
             over = True
         if over:
@@ -376,10 +377,9 @@ def pulse_and_kick(rig: RigConfig, ticks: int, beside: Sequence[Trial] = ()) -> 
     return pulsed.answer[:, 0], pulsed.motion[:, 0], pulsed.motion[:, 1]
 
 
-def _faded(answer: Array, motion: Array, alone: Array) -> bool:
-    """Whether nothing is left of the pulse in these ticks, and the loop left alone does not swing."""
-    left = max(np.abs(answer).max(), np.abs(motion).max(), np.abs(np.diff(alone, 2, axis=0)).max() / PULSE)
-    return bool(left < FADED)
+def _left(answer: Array, motion: Array, alone: Array) -> float:
+    """What is left of the pulse in these ticks, of it, or what the loop left alone swings."""
+    return float(max(np.abs(answer).max(), np.abs(motion).max(), np.abs(np.diff(alone, 2, axis=0)).max() / PULSE))
 
 
 def _circles(error: Array) -> Any:

@@ -10,7 +10,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 Grid = NDArray[np.float64]
 Spot = tuple[float, float]
@@ -82,6 +81,8 @@ class Optics:
 
 def picture(optics: Optics, scene: Scene, number: int) -> NDArray[np.uint8]:
     """Frame `number`, shape (height, width), 0 to 255."""
+    from scipy.ndimage import gaussian_filter  # it takes long to import, and who emulates a stage draws seldom
+
     rows, columns = np.mgrid[: optics.height, : optics.width].astype(np.float64)
     away = abs(scene.tip[2] - optics.focus)
     light = _light(optics, rows, columns) * gaussian_filter(_cell(optics, scene, rows, columns), optics.blur)

@@ -185,7 +185,7 @@ def test_the_version_of_a_package_is_looked_up_by_who_asks_for_it() -> None:
 
 RUN_SHORTLY = """
 import sys
-sys.argv[1:] = ["run", "deploy/rigs/paper.toml", "--ticks", "20", "--set", "timing.realtime=false",
+sys.argv[1:] = ["run", "deploy/rigs/RIG.toml", "--ticks", "20", "--set", "timing.realtime=false",
     "--set", "timing.lock_memory=false", "--set", "timing.dma_latency=false", "--set", "bus.interface=local",
     "--set", "timing.allow_degraded=true"]
 from hil.__main__ import main
@@ -201,10 +201,26 @@ def test_the_control_process_comes_without_them_too_from_its_start_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
-    names = loaded(RUN_SHORTLY)
+    names = loaded(RUN_SHORTLY.replace("RIG", "paper"))
     assert "hil.live.loop" in names
     assert unwanted(names, (*LUGGAGE, *NOT_THEIRS)) == []
     # It was 641 once, 543 before homing and kept learning. numpy, and pydantic, which reads the rig file, are 307 of
     # them, with what they import (importlib.metadata, email, inspect); our own are 205, argparse, json and subprocess
     # most of the others.
     assert len(names) < 551
+
+
+@pytest.mark.long
+def test_a_resonance_that_the_rig_states_adds_no_library_to_the_control_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
+    names = loaded(RUN_SHORTLY.replace("RIG", "microscope"))
+    assert "hil.analysis.flexible_plant" in names
+    assert unwanted(names, (*LUGGAGE, *NOT_THEIRS)) == []
+
+
+@pytest.mark.long
+def test_a_check_of_a_rig_loads_no_library_that_it_does_not_use() -> None:
+    names = loaded("import sys; sys.argv[1:] = ['check', 'microscope']; from hil.__main__ import main; main()")
+    assert unwanted(names, ("scipy", "matplotlib", "zenoh", "can")) == []
