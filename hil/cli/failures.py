@@ -7,6 +7,7 @@ from hil.cli.exit_status import EXIT_CONFIG, EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.streams import unwritable_output
 
 _NO_ROOM = "failed to map segment"  # of the loader, for a library that does not fit into memory
+_NO_REASON = "without setting an exception"  # of C code that had no memory left to say so
 _NO_FOLDER = "No usable temporary directory"  # of tempfile, where files cannot be written anywhere
 _OF_THIS_COMPUTER = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EMFILE, errno.ENFILE)
 
@@ -34,7 +35,8 @@ def failure(error: Exception) -> tuple[int, list[str]]:
         return EXIT_FILE, _lines(error.strerror)
     if isinstance(error, OSError) and error.errno in _OF_THIS_COMPUTER:
         return EXIT_FILE, _lines(unwritable_output("\n") or error.strerror)
-    if isinstance(error, MemoryError) or (isinstance(error, ImportError) and _NO_ROOM in str(error)):
+    of_memory = {ImportError: _NO_ROOM, SystemError: _NO_REASON}.get(type(error))
+    if isinstance(error, MemoryError) or (of_memory and of_memory in str(error)):
         return EXIT_UNAVAILABLE, _lines("not enough memory; `ulimit -v` and `free -m` say how much there is")
     raise error
 

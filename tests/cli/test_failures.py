@@ -8,7 +8,15 @@ from hil.cli.exit_status import EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.failures import failure
 
 
-@pytest.mark.parametrize("error", [MemoryError(), ImportError("x.so: failed to map segment from shared object")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        ImportError("x.so: failed to map segment from shared object"),
+        SystemError("<function f at 0x7f> returned NULL without setting an exception"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
 def test_too_little_memory_is_told_wherever_it_shows(error: Exception) -> None:
     status, lines = failure(error)
     assert (status, len(lines)) == (EXIT_UNAVAILABLE, 1)
@@ -25,7 +33,9 @@ def test_where_no_temporary_file_can_be_written_the_folders_are_told() -> None:
     assert failure(FileNotFoundError(errno.ENOENT, said)) == (EXIT_FILE, [f"hil: {said}"])
 
 
-@pytest.mark.parametrize("error", [OSError(errno.EINVAL, "Invalid argument"), ImportError("no module"), KeyError("x")])
+@pytest.mark.parametrize(
+    "error", [OSError(errno.EINVAL, "Invalid argument"), ImportError("no module"), SystemError("x")]
+)
 def test_a_mistake_of_ours_is_raised_as_it_is(error: Exception) -> None:
     with pytest.raises(type(error)) as caught:
         failure(error)
