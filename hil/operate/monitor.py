@@ -191,7 +191,8 @@ def monitor(
         print(f"hil monitor: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
     except KeyboardInterrupt:
-        pass
+        if once:
+            raise
 
 
 class Newest:

@@ -63,7 +63,8 @@ def events(
         print(f"hil events: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
     except KeyboardInterrupt:
-        pass
+        if not follow:
+            raise
 
 
 def show(found: Iterable[Event], *, as_json: bool) -> None:
