@@ -203,7 +203,7 @@ _OF_KIND = {
     },
     "odrive": {"nodes", "turn", "feedback_s", "heartbeat_s", "enable_delay_s", "instead"},
     "moteus": {"nodes", "turn", "enable_delay_s", "instead"},
-    "vesc": {"nodes", "turn", "feedback_s", "heartbeat_s", "torque_constant", "pole_pairs"},
+    "vesc": {"nodes", "turn", "feedback_s", "heartbeat_s", "torque_constant", "pole_pairs", "instead"},
     "damiao": {"nodes", "turn", "position_range", "torque_range", "told_to"},
     "cubemars": {"nodes", "turn", "position_range", "torque_range", "told_to"},
     "robstride": {"nodes", "turn", "position_range", "torque_range", "told_to"},
@@ -252,7 +252,7 @@ class EmulatedDriveConfig(Table):
     instead: dict[str, float] = key(
         {},
         "cia402, moteus, odrive: values that it acknowledges and then has otherwise, by object (6061h), register "
-        "(kp_scale) or endpoint (controller.config.control_mode)",
+        "(kp_scale) or endpoint (controller.config.control_mode); vesc: values that were set otherwise (l_current_max)",
         exclude_if=lambda values: not values,
     )
     status_bits: int = key(0, "cia402: its own bits of the statusword: 8, 14, 15", "1", ge=0, le=0xFFFF)

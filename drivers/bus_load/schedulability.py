@@ -99,10 +99,11 @@ def analyse(
     queued at the tick's start, in the order given. What else that sender sends (service) is queued behind them, one
     such frame in a tick. All others are sporadic: their period is the least time between two. fifo: senders with one
     FIFO for all they send, as Linux has; all others send their most urgent message first. bitrate, data_bitrate: bit/s.
-    Raises ValueError naming the message for names or identifiers that are not unique and for triggers that do not
-    exist.
+    What is sent at rest alone (`Message.at_rest`) delays nothing that has to be in time, and is left out. Raises
+    ValueError naming the message for names or identifiers that are not unique and for triggers that do not exist.
     """
     _check(messages)
+    messages = [message for message in messages if not message.at_rest]
     by_name = {
         message.name: Item(
             priority=arbitration_key(message.can_id),

@@ -92,7 +92,8 @@ class Message(NamedTuple):
     bit-rate switch where `brs` says so. period_ns;
     deadline_ns: from the tick's start. jitter_ns: queueing jitter (latest minus earliest
     queueing after the tick's start). sender: node name ("host", "x", ...). after: name of the message whose reception
-    triggers this one (feedback after the command), or None. also: other payloads that it may have, bytes.
+    triggers this one (feedback after the command), or None. also: other payloads that it may have, bytes. at_rest: of
+    one that is sent while no drive is enabled, and at no other time, how many follow each other at most; 0: any time.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Message(NamedTuple):
     after: str | None = None
     brs: bool = True
     also: tuple[int, ...] = ()
+    at_rest: int = 0
 
 
 class HostProtocol(Protocol):

@@ -18,25 +18,31 @@ WATCH_TICKS: Final = 50  # between the questions to a drive that was proved
 
 
 class Question(NamedTuple):
-    """One value. name: for people. least, most: bounds that are allowed; NaN is in none."""
+    """One value. name: for people. least, most: bounds that are allowed; NaN is in none. otherwise: what a value beyond
+    them means, for people.
+    """
 
     name: str
     least: float
     most: float
+    otherwise: str = "it does not keep what it was told"
 
     @property
     def expected(self) -> str:
         """In words."""
-        return f"{self.least:g}" if self.least == self.most else f"{self.least:g} to {self.most:g}"
+        return _text(self.least) if self.least == self.most else f"{_text(self.least)} to {_text(self.most)}"
 
 
 class ReadBack:
     """The values of one drive. proved: all are as they should be. problem: what is not, or empty. subject: who, for
-    people. apart: ticks at least between two questions.
+    people. apart: ticks at least between two questions. answer_ticks: in which an answer is waited for.
     """
 
-    def __init__(self, subject: str, questions: Sequence[Question], apart: int = ANSWER_TICKS) -> None:
+    def __init__(
+        self, subject: str, questions: Sequence[Question], apart: int = ANSWER_TICKS, answer_ticks: int = ANSWER_TICKS
+    ) -> None:
         self._subject, self._questions, self._apart = subject, tuple(questions), apart
+        self._answer_ticks = answer_ticks
         self.problem = ""
         self.begin()
 
@@ -55,7 +61,7 @@ class ReadBack:
             self._fail(tick, f"{self._questions[self._at].name} was read back and gave no answer")
             return None
         self._asked += 1
-        self._waits, self._next_tick, self._asked_tick = True, tick + ANSWER_TICKS, tick
+        self._waits, self._next_tick, self._asked_tick = True, tick + self._answer_ticks, tick
         return self._at
 
     def answer(self, number: int, value: float, tick: int) -> None:
@@ -64,8 +70,7 @@ class ReadBack:
         if not self._waits or number != self._at:
             return
         if not question.least <= value <= question.most:
-            text = f"{question.name} = {value:g}; expected {question.expected}: it does not keep what it was told"
-            self._fail(tick, text)
+            self._fail(tick, f"{question.name} = {_text(value)}; expected {question.expected}: {question.otherwise}")
             return
         self._waits, self._asked = False, 0
         self._at = (self._at + 1) % len(self._questions)
@@ -77,3 +82,8 @@ class ReadBack:
         self.begin()
         self.problem = f"{self._subject}: {text}"
         self._next_tick = tick + RETRY_TICKS
+
+
+def _text(value: float) -> str:
+    """A number for people; all digits of a whole one."""
+    return f"{value:.0f}" if float(value).is_integer() else f"{value:g}"

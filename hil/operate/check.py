@@ -34,6 +34,7 @@ from hil.rig.bus_load import (
     messages_by_segment,
     microseconds,
     problems,
+    rest_notes,
     rig_layout,
 )
 from hil.rig.encoder_range import encoder_range_problems
@@ -67,6 +68,7 @@ def check_rig(
         *law_notes(rig),
         *estimator_notes(rig),
         *feedback_notes(rig, layout),
+        *rest_notes(rig, layout),
         *emulation_notes(rig),
         *interface_notes(rig),
         *warnings,

@@ -1,10 +1,11 @@
 """Admission: whether a rig's traffic fits its bus. `hil run` refuses a rig on it; `hil check` prints its tables."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from drivers.bus_load.schedulability import Analysis, analyse
+from drivers.bus_load.schedulability import Analysis, analyse, frame_ns
 from drivers.config import LAYOUT_KIND
 from drivers.families import family_of
 from drivers.protocols.base import HostProtocol, Message
@@ -47,6 +48,25 @@ def feedback_notes(rig: RigConfig, layout: HostProtocol) -> list[str]:
         f"drives sample in their own time: a position is {least_ms:.1f} to {most_ms:.1f} ms old when the force made of "
         f"it acts; the stability below counts {rig.period_ns * 1e-6:g} ms. The rest, {more_ms:.1f} ms, costs "
         f"{0.36 * more_ms:.2f} degrees of phase per Hz of the loop's crossover"
+    ]
+
+
+def rest_notes(rig: RigConfig, layout: HostProtocol) -> list[str]:
+    """How long an answer takes the bus that is asked for at rest alone, for people; nothing where there is none."""
+    frames: Counter[str] = Counter()
+    taken_ns: Counter[str] = Counter()
+    for number, part in enumerate(messages_by_segment(rig, layout)):
+        for message in part:
+            if message.at_rest and message.sender != "host":
+                drive = f"{number} {message.sender}"
+                frames[drive] += message.at_rest
+                taken_ns[drive] += message.at_rest * frame_ns(message, rig.bus.bitrate, rig.bus.data_bitrate)
+    if not frames:
+        return []
+    return [
+        f"read back before READY and after a reset: an answer has up to {max(frames.values())} frames and takes the "
+        f"bus for up to {max(taken_ns.values()) * 1e-6:.1f} ms, one drive at a time. While a drive is enabled nothing "
+        "is asked, so the table leaves these frames out"
     ]
 
 

@@ -164,7 +164,7 @@ class LockstepRun:
         """Let `slots` periods pass without a tick: the control process was held up."""
         self.index += slots
         end_ns = self.index * self.rig.period_ns
-        while (due_ns := self.stage.speaks_ns) < end_ns:
+        while (due_ns := max(self.stage.speaks_ns, self.wire.now_ns)) < end_ns:  # a drive may have to answer since
             self._advance(due_ns)
         self._advance(end_ns)
 

@@ -125,7 +125,8 @@ def _in_turns(config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: 
     from sim_plant.drives.vesc import Motor, Vesc
 
     motor = Motor(config.torque_constant, config.pole_pairs)
-    return Vesc(node, servo, turns, start_ns, motor=motor, feedback_ns=feedback_ns, status_ns=state_ns)
+    times = {"feedback_ns": feedback_ns, "status_ns": state_ns}
+    return Vesc(node, servo, turns, start_ns, motor=motor, instead=config.instead, **times)
 
 
 def _moteus(

@@ -5,9 +5,13 @@ from drivers.families.dbc.config import DbcBinding, dbc_keys
 
 
 def problems(rig: Circumstances) -> list[str]:
-    """Positions that come too seldom for the axis' speed or the rig's rate, and states that come too seldom."""
+    """Positions that come too seldom for the axis' speed or the rig's rate, states that come too seldom, and VESCs that
+    may have another timeout than the rig relies on.
+    """
     binding = dbc_keys(rig.bus).dbc
-    return [*_wrap_problems(binding, rig), *_period_problems(binding, rig)] if binding else []
+    if binding is None:
+        return []
+    return [*_wrap_problems(binding, rig), *_period_problems(binding, rig), *_timeout_problems(binding, rig)]
 
 
 def _wrap_problems(binding: DbcBinding, rig: Circumstances) -> list[str]:
@@ -38,3 +42,14 @@ def _period_problems(binding: DbcBinding, rig: Circumstances) -> list[str]:
             f"{longest_s:g} s of safety.disable_timeout_ticks = {rig.disable_ticks}"
         )
     return problems
+
+
+def _timeout_problems(binding: DbcBinding, rig: Circumstances) -> list[str]:
+    """A VESC's timeout is the rig's watchdog; 0 would be none."""
+    longest_ms = rig.watchdog_s * 1e3
+    return [
+        f"bus.dbc.vesc.values[{at}]: timeout_msec may be {item.least:g} to {item.most:g}; the rig relies on "
+        f"drives.watchdog_s = {rig.watchdog_s:g}, so it has to be above 0 and at most {longest_ms:g}"
+        for at, item in enumerate(binding.vesc.values if binding.vesc else ())
+        if item.value == "timeout_msec" and not (item.least > 0 and item.most <= longest_ms * (1 + 1e-9))
+    ]

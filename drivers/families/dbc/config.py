@@ -100,6 +100,51 @@ class ReadBackBinding(SignalBinding):
     most: float = key(REQUIRED, "and at most", "1")
 
 
+class VescValue(Table):
+    """A value of a VESC's configuration, and what it may be."""
+
+    value: str = key(
+        REQUIRED,
+        "name of the value as the firmware has it. Without `at` one of motor_type, sensor_mode, l_current_max, "
+        "l_current_min, l_in_current_max, l_in_current_min, controller_id, timeout_msec, timeout_brake_current",
+    )
+    least: float = key(REQUIRED, "value that it has to have at least, in the firmware's unit (A, ms)", "1")
+    most: float = key(REQUIRED, "and at most", "1")
+    axis: int | None = key(None, "whose drive, from 0, in the order of [axes]", "1", derived="every one's", ge=0, le=63)
+    configuration: Literal["motor", "application"] = key("motor", "with `at`: which configuration it is in")
+    at: int | None = key(
+        None,
+        "its first byte in the configuration, counted from the signature's first: of a value that each firmware has "
+        "elsewhere",
+        "1",
+        derived="from its name",
+        ge=4,
+        le=510,
+    )
+    type: Literal["uint8", "uint16", "uint32", "int16", "float32"] = key("float32", "with `at`: how it is written")
+    scale: float = key(1.0, "with `at`: value of 1 in its number; 1e-4 for l_current_max_scale of firmware 6", "1")
+
+
+class VescBinding(Table):
+    """[bus.dbc.vesc]: the configurations that VESCs are asked for, before READY and after a reset."""
+
+    motor_signature: int = key(
+        0, "MCCONF_SIGNATURE of their firmware; 0: the motor configuration is not asked for", "1", ge=0, lt=2**32
+    )
+    application_signature: int = key(
+        0, "APPCONF_SIGNATURE of their firmware; 0: the application's is not asked for", "1", ge=0, lt=2**32
+    )
+    values: list[VescValue] = key([], "values that have to be as stated")
+    ask_as: int = key(
+        200,
+        "VESC ID in whose name the first axis' drive is asked; one more for each further axis. No node of the bus may "
+        "have one of them",
+        "1",
+        ge=0,
+        le=254,
+    )
+
+
 class PeriodBinding(Table):
     """How often a message is sent."""
 
@@ -160,6 +205,11 @@ class DbcBinding(Table):
         "mode and limits that drives are asked for; with another value, or without an answer, a drive counts as in "
         "fault and no rig gets READY",
         exclude_if=lambda entries: not entries,
+    )
+    vesc: VescBinding | None = key(
+        None,
+        "VESC: configurations that the drives are asked for; as with `read_back`, none gets READY that differs",
+        exclude_if=lambda table: table is None,
     )
     endpoints: str = key(
         "",

@@ -33,6 +33,7 @@ class DbcDevice(DbcLayout):
                 self._lone[frame.can_id, frame.data] = self._all_axes if len(lones) == 1 else 1 << number, enables
         self._lone_ids = {can_id for can_id, _ in self._lone}
         self._lone_ids |= {asked.ask.message.can_id for asked in self._read_back}
+        self._lone_ids |= set(self._vesc.asked_ids if self._vesc else ())
         self._asked_ids = {REMOTE | message.can_id for message in self._requests}
         self._started = 0 if self._start else self._all_axes
         self._received: dict[BoundMessage, Sequence[Any]] = {}

@@ -20,7 +20,7 @@ Rules. What the binding (drivers.config.DbcBinding) means:
 - periodic: sent so often, and at once when a value in it changes. remote: feedback that is asked for in every tick, or
   as periodic says. The positions among them are sampled when they are asked for.
 - read_back: values that a drive is asked for, behind the commands: drivers/protocols/read_back.py has the rules. Until
-  all are right the drive counts as in fault.
+  all are right the drive counts as in fault. vesc: likewise, of a VESC's configurations (vesc_reader.py).
 - Signals of multiplexed messages are on pages of their own (dbc_binding.py).
 - command_counter, feedback_counter: the drives echo the commands' counter; both or none. Its length is the modulus;
   every command message may have one.
@@ -77,6 +77,7 @@ class DbcHost(DbcTraffic):
         for message in self._answers:
             self._heard.setdefault(message.can_id, []).append(message)
         self._own |= {asked.ask.message.can_id for asked in self._read_back}
+        self._own |= set(self._vesc.asked_ids if self._vesc else ())
         self._asked_of = [[asked for asked in self._read_back if asked.axis == axis] for axis in range(n_axes)]
         self._proofs = [
             ReadBack(f"axis {axis}", [asked.question for asked in theirs]) for axis, theirs in enumerate(self._asked_of)
@@ -115,9 +116,14 @@ class DbcHost(DbcTraffic):
         return [out_ns[bound.message] for bound in self._torque]
 
     def decode(self, frame: Frame) -> Sample | Reject | tuple[Sample, ...]:
-        """The samples in a message, their stamps estimated (sampling_clock.py). SERVICE for a state alone."""
+        """The samples in a message, their stamps estimated (sampling_clock.py). SERVICE for a state alone; no sample
+        for a part of an answer that is waited for.
+        """
         pages = self._heard.get(frame.can_id)
         if pages is None:
+            if self._vesc and self._vesc.hears(frame.can_id):
+                refused = self._vesc.take(frame, self._tick)
+                return () if refused is None else refused
             if frame.flags & ECHO:
                 self._clock.triggered(frame.timestamp_ns)
             return reject_id(frame.can_id, self._heard, self._own)
@@ -150,6 +156,8 @@ class DbcHost(DbcTraffic):
             counts = self._unwrapped(axis, counts)
         if not -COUNTS <= counts <= COUNTS:  # also where it is not a number
             return None
+        if self._vesc:
+            self._vesc.sampled(axis, self._tick)
         sequence = int(values[self._echo[axis].place.at]) if self._echo else -1
         clock = self._clock
         own_time = self._free_running
@@ -203,7 +211,8 @@ class DbcHost(DbcTraffic):
 
     def _status_of(self, axis: int) -> int:
         """What is known of a drive: nothing where it has been silent about its state for too long."""
-        unproved = self._tick and not self._proofs[axis].proved  # who only listens asks nobody
+        proved = self._proofs[axis].proved and (self._vesc is None or self._vesc.proved(axis))
+        unproved = self._tick and not proved  # who only listens asks nobody
         told = (FAULT if unproved or self._untold(axis) else self._fault[axis]) | self._switches[axis]
         if not self._status:
             return self._enabled >> axis & ENABLED | told
@@ -214,7 +223,8 @@ class DbcHost(DbcTraffic):
     @property
     def problems(self) -> list[str]:
         """What drives were told and do not keep, for people."""
-        return [proof.problem for proof in self._proofs if proof.problem]
+        told = [proof.problem for proof in self._proofs if proof.problem]
+        return told + self._vesc.problems if self._vesc else told
 
     def encode(self, command: Command) -> list[Frame]:
         """All command messages that are due. Raises ValueError for a force not finite or beyond its rated force."""
@@ -245,12 +255,16 @@ class DbcHost(DbcTraffic):
         frames += [message.frame(values[message]) for message in self._cyclic]
         if self._asked:
             frames += self._asking()
-        return frames + self._reading_back(reset=command.reset) if self._read_back else frames
+        return frames + self._reading_back(reset=command.reset) if self._read_back or self._vesc else frames
 
     def _reading_back(self, *, reset: bool) -> list[Frame]:
         """The questions that are due."""
         frames: list[Frame] = []
         begins, self._reset_before = reset and not self._reset_before, reset
+        if self._vesc:
+            if begins:
+                self._vesc.begin()
+            frames += [] if self._enabled else self._vesc.ask(self._tick)
         for asked, proof in zip(self._asked_of, self._proofs, strict=True):
             if begins:
                 proof.begin()

@@ -29,6 +29,7 @@ from drivers.families.dbc.identifiers import (
 )
 from drivers.families.dbc.named_pages import name_pages
 from drivers.families.dbc.page import Bound, BoundMessage, Place
+from drivers.families.dbc.vesc_reader import VescReader, vesc_ids
 from drivers.frame import REMOTE
 from drivers.protocols.base import EVERY_STATUS, DriveStatus, LayoutError
 from drivers.protocols.read_back import Question
@@ -87,7 +88,7 @@ class DbcLayout:
         database, self.warnings = load_used(path, bound_names(binding))
         name_pages(database, bound_signals(binding))
         number_pages(database, binding, base_dir)
-        self.unasked = () if binding.read_back else (_UNASKED,)
+        self.unasked = () if binding.read_back or binding.vesc else (_UNASKED,)
         self._pages = Pages(database, binding, path.name)
         self._free_running = binding.feedback == "cyclic"
         self._bind(binding)
@@ -112,6 +113,7 @@ class DbcLayout:
         self.fd = any(message.fd for message in self._pages)
         self._check_places(binding, path.name)
         self._check_identifiers(path.name)
+        self._vesc = self._vesc_reader(binding, bus.bitrate, wiring.period_ns)
         self._check_agreement(binding)
         self._check_resets()
         self._check_zero()
@@ -165,6 +167,18 @@ class DbcLayout:
             ask = Lone(*self._pages.alone(key, _asking(key, item.ask, answer.message)))
             found.append(Asked(item.axis, answer, ask, question))
         return found
+
+    def _vesc_reader(self, binding: DbcBinding, bitrate: int, period_ns: int) -> VescReader | None:
+        """Who asks VESCs for their configurations, where the rig says so."""
+        if binding.vesc is None:
+            return None
+        ids = vesc_ids([(bound.message.name, bound.message.can_id) for bound in self._torque])
+        reader = VescReader(binding.vesc, ids, bitrate, period_ns)
+        theirs = {*reader.asked_ids, *reader.heard_ids}
+        for page in self._pages:
+            if page.can_id in theirs:
+                raise LayoutError(f"bus.dbc.vesc: {page.name} has an identifier in which VESCs are asked or answer")
+        return reader
 
     def _carried(self) -> int:
         """DriveStatus bits that every axis' messages can tell."""

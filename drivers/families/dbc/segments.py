@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from drivers.config import BusConfig
-from drivers.families.dbc.config import DbcBinding, dbc_keys
+from drivers.families.dbc.config import DbcBinding, VescBinding, dbc_keys
 from drivers.protocols.base import LayoutError
 from drivers.protocols.segments import of_axes
 
@@ -30,17 +30,29 @@ def cut(bus: BusConfig, n_axes: int) -> Callable[[range], dict[str, Any]]:
     everybody = {item.message for name in PER_AXIS for item in getattr(binding, name)}
 
     def of_segment(axes: range) -> dict[str, Any]:
-        lists = {name: of_axes(axes, getattr(binding, name)) for name in PER_AXIS}
+        lists: dict[str, Any] = {name: of_axes(axes, getattr(binding, name)) for name in PER_AXIS}
         theirs = everybody - {item.message for items in lists.values() for item in items}
         for name in _BY_MESSAGE:
             lists[name] = [item for item in getattr(binding, name) if _message(item) not in theirs]
         asked = [item for item in binding.read_back if item.axis in axes]
         lists["read_back"] = [item.model_copy(update={"axis": item.axis - axes.start}) for item in asked]
         inputs = [item for item in binding.inputs if item.axis in axes]
+        if binding.vesc:
+            lists["vesc"] = _vesc_of(axes, binding.vesc)
         lists["inputs"] = [item.model_copy(update={"axis": item.axis - axes.start}) for item in inputs]
         return {"dbc": binding.model_copy(update=lists)}
 
     return of_segment
+
+
+def _vesc_of(axes: range, vesc: VescBinding) -> VescBinding:
+    """The values that concern these axes' drives, by the segment's own axes; IDs are free on every segment."""
+    values = [
+        item if item.axis is None else item.model_copy(update={"axis": item.axis - axes.start})
+        for item in vesc.values
+        if item.axis is None or item.axis in axes
+    ]
+    return vesc.model_copy(update={"values": values})
 
 
 def _message(item: Any) -> str:

@@ -38,6 +38,7 @@ class DbcTraffic(DbcLayout):
             *(_message(titles[m], m, state_ns, senders[m.can_id]) for m in self._state_only),
             *(_message(titles[m], m, seldom_ns, "host") for m, seldom_ns in (seldom | lone).items()),
             *self._service(period_ns, titles),
+            *(self._vesc.messages() if self._vesc else ()),
         ]
 
     def _senders(self) -> dict[int, str]:

@@ -113,7 +113,7 @@ class Survey:
         emergency_ids = {plan.emcy_id: node for plan, node in zip(plans, nodes, strict=True) if plan.emcy_id}
         self.log = FrameLog(emergency_ids, canopen=master is not None)
         self._occasional = {*emergency_ids, *(cia301.SDO_RESPONSE_ID + node for node in nodes)}
-        self._occasional |= {m.can_id for m in self._messages if (m.after or "").startswith(SERVICE)}
+        self._occasional |= {m.can_id for m in self._messages if (m.after or m.name).startswith(SERVICE)}
         self._nodes = nodes
         self._scan = NodeScan(MASTER_ID) if master else None
         self._report = SurveyReport(host.rig.name)
