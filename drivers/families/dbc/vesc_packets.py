@@ -43,27 +43,17 @@ def question(command: int, vesc_id: int, asker: int) -> Frame:
 
 
 class Assembly:
-    """The answer of one VESC, from its pieces.
-
-    Between a question (`expect`) and the end of its answer a piece is due whose offset is above that of the one before.
-    So another node that speaks in its place is told at the latest after LONGEST frames. A lost piece spoils the packet.
-    A frame that is not due (an answer to nobody's question, another VESC's end, a piece that comes twice) changes
-    nothing.
+    """The packets that one VESC sends to one asker, from their pieces. A lost piece spoils a packet; the next one
+    begins anew.
     """
 
     def __init__(self, vesc_id: int) -> None:
         self._vesc_id = vesc_id
         self._data = bytearray()
-        self._offset = LONGEST  # of the last piece; LONGEST: none is due
         self._whole = False
 
-    def expect(self) -> None:
-        """It was asked."""
-        self._data.clear()
-        self._offset, self._whole = -1, True
-
     def take(self, command: int, frame: Frame) -> Packet | Reject | None:
-        """A frame to this asker: the packet that it ends; None for one that was due; else why it is of no use."""
+        """A frame to this asker: the packet that it ends; why it is of no use; None for all else."""
         if frame.flags & FD:
             return Reject.WRONG_FORMAT
         head = {FILL_RX_BUFFER: 1, FILL_RX_BUFFER_LONG: 2}.get(command)
@@ -72,10 +62,12 @@ class Assembly:
         if len(frame.data) <= head:
             return Reject.WRONG_LENGTH
         offset, piece = int.from_bytes(frame.data[:head], "big"), frame.data[head:]
-        if not self._offset < offset <= LONGEST - len(piece):
-            return Reject.SERVICE
-        self._whole = self._whole and offset == len(self._data)
-        self._offset = offset
+        if offset == 0:
+            self._data.clear()
+            self._whole = True
+        elif offset == len(self._data) - len(piece) and self._data.endswith(piece):
+            return None  # CAN may repeat a frame
+        self._whole = self._whole and offset == len(self._data) <= LONGEST - len(piece)
         self._data += piece if self._whole else b""
         return None
 
@@ -83,10 +75,9 @@ class Assembly:
         if len(data) != _END.size:
             return Reject.WRONG_LENGTH
         sender, mode, length, crc = _END.unpack(data)
-        if self._offset == LONGEST or sender != self._vesc_id or mode != ANSWERED[1]:
+        if sender != self._vesc_id or mode != ANSWERED[1]:
             return Reject.SERVICE
-        self._offset = LONGEST
-        whole = self._whole and length == len(self._data) > 0
-        if not whole or crc_hqx(self._data, 0) != crc:
-            return Reject.BAD_CHECKSUM if whole else None
-        return Packet(self._data[0], bytes(self._data[1:]))
+        came, self._whole = self._whole and length == len(self._data) > 0, False
+        if not came:
+            return None
+        return Packet(self._data[0], bytes(self._data[1:])) if crc_hqx(self._data, 0) == crc else Reject.BAD_CHECKSUM

@@ -5,6 +5,8 @@ Source: the firmware (github.com/vedderb/bldc, confgenerator.c of every version 
   differs between firmwares whose layouts differ: with another one than the rig file's nothing in it is read.
 - An answer keeps the bus busy for milliseconds, and goes before the drives' positions. So one drive is asked at a time,
   only while no drive is enabled, and not again once all is right, until a reset or a silence of SILENCE_NS.
+- Parts of answers are no flood: of each question as many are due as the longest answer has. An answer that is late may
+  come beside the next one, and that to an earlier process' question before the first.
 - A digest of a whole configuration would change by itself: the firmware measures the offsets of its current sensors at
   each start and keeps them in it.
 """
@@ -30,6 +32,7 @@ from drivers.protocols.read_back import ANSWER_TICKS, Question, ReadBack
 CONFIGURATIONS: Final = {"motor": 14, "application": 17}  # COMM_GET_MCCONF, COMM_GET_APPCONF
 SILENCE_NS: Final = 100_000_000  # of a drive's positions, after which it may have restarted
 _SET_CURRENT: Final = 1
+_LONGEST_ANSWER: Final = sum(MOST_FRAMES.values())  # frames
 _SHARE: Final = 2  # times the bus time of an answer, in which it comes: others send, too
 _FORMATS: Final = {"uint8": "B", "uint16": ">H", "uint32": ">I", "int16": ">h", "float32": ">f"}
 _ANOTHER_FIRMWARE: Final = "its firmware has its values at other places than the rig file says"
@@ -81,22 +84,20 @@ class VescReader:
         self._check_ids(binding)
         asked = [_asked_of(binding, axis, len(self._ids)) for axis in range(len(self._ids))]
         nominal, _ = worst_case_bits(8, fd=False, extended=True)
-        answer_ns = sum(MOST_FRAMES.values()) * nominal * 1_000_000_000 // bitrate
+        answer_ns = _LONGEST_ANSWER * nominal * 1_000_000_000 // bitrate
         self._period_ns = period_ns
         self._answer_ticks = ANSWER_TICKS + -(-_SHARE * answer_ns // period_ns)
         self._asked = asked
         self._proofs = [
-            ReadBack(f"axis {axis}, VESC {self._ids[axis]}", [each.question for each in theirs], 1, self._answer_ticks)
+            ReadBack(f"axis {axis}, VESC {self._ids[axis]}", [each.question for each in theirs], 0, self._answer_ticks)
             for axis, theirs in enumerate(asked)
         ]
-        self._assemblies = [Assembly(vesc_id) for vesc_id in self._ids]
+        self._assemblies = {asker: (axis, Assembly(self._ids[axis])) for axis, asker in enumerate(self._askers)}
         self.asked_ids = [identifier(PROCESS_SHORT_BUFFER, vesc_id) for vesc_id in self._ids]
-        self._heard = {
-            identifier(command, asker): (axis, command)
-            for axis, asker in enumerate(self._askers)
-            for command in MOST_FRAMES
-        }
-        self.heard_ids = list(self._heard)
+        self.heard_ids = [identifier(command, asker) for asker in self._askers for command in MOST_FRAMES]
+        self._commands = {identifier(command, 0): command for command in MOST_FRAMES}
+        self._due = _LONGEST_ANSWER  # an earlier process may have asked
+        self._waits: tuple[int, int] | None = None  # axis and number of the question
         self._turn = self._free_tick = 0
         self._silence_ticks = SILENCE_NS // period_ns
         self._sample_tick = [0] * len(self._ids)
@@ -111,17 +112,25 @@ class VescReader:
             )
 
     def hears(self, can_id: int) -> bool:
-        """Whether a frame is a part of an answer."""
-        return can_id in self._heard
+        """Whether a frame is a part of an answer to whomever: the question may have been damaged."""
+        return can_id & ~0xFF in self._commands
 
     def take(self, frame: Frame, tick: int) -> Reject | None:
-        """A frame that it hears. None for a part of an answer that is waited for; else why it is of no use."""
-        axis, command = self._heard[frame.can_id]
-        came = self._assemblies[axis].take(command, frame)
+        """A frame that it hears. None for a part of an answer, so many of which are due by the questions; else why it
+        is of no use.
+        """
+        axis, assembly = self._assemblies.get(frame.can_id & 0xFF, (-1, None))
+        if not self._due:
+            return Reject.SERVICE if assembly else Reject.UNKNOWN_ID
+        self._due -= 1
+        if assembly is None:
+            return None
+        came = assembly.take(self._commands[frame.can_id & ~0xFF], frame)
         if not isinstance(came, Packet):
             return came
-        self._free_tick = tick
-        self._judge(axis, came, tick)
+        if self._waits == (axis, came.command):
+            self._waits, self._free_tick = None, tick
+            self._judge(axis, came, tick)
         return None
 
     def _judge(self, axis: int, packet: Packet, tick: int) -> None:
@@ -141,6 +150,7 @@ class VescReader:
 
     def begin(self) -> None:
         """After a reset all is asked anew."""
+        self._waits = None
         for proof in self._proofs:
             proof.begin()
 
@@ -153,8 +163,8 @@ class VescReader:
             number = None if self._proofs[axis].proved else self._proofs[axis].ask(tick)
             if number is not None:
                 self._turn, self._free_tick = axis + 1, tick + self._answer_ticks
-                self._assemblies[axis].expect()
                 command = CONFIGURATIONS[self._asked[axis][number].place.configuration]
+                self._waits, self._due = (axis, command), min(self._due, _LONGEST_ANSWER) + _LONGEST_ANSWER
                 return [question(command, self._ids[axis], self._askers[axis])]
         return []
 
