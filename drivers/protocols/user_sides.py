@@ -273,7 +273,7 @@ def _message_problem(message: Any, n_axes: int, names: set[str]) -> str:
     senders = ["host", *(f"axis {axis}" for axis in range(n_axes))]
     if not isinstance(message, Message):
         return f"returned {message!r:.60} in its list, expected a Message"
-    if not all(_is_whole(number, 0) for number in (*message[1:3], *message[4:7])):
+    if not all(_is_whole(number, 0) for number in (*message[1:3], *message[4:7], message.at_rest)):
         return f"{message!r:.90}: identifier, length and times are whole numbers of at least 0"
     if message.period_ns < 1 or not _fits(message.length, bool(message.fd)):
         return f"{message!r:.90}: no length of a frame, or no period"

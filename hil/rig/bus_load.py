@@ -51,8 +51,8 @@ def feedback_notes(rig: RigConfig, layout: HostProtocol) -> list[str]:
     ]
 
 
-def rest_notes(rig: RigConfig, layout: HostProtocol) -> list[str]:
-    """How long an answer takes the bus that is asked for at rest alone, for people; nothing where there is none."""
+def answer_at_rest(rig: RigConfig, layout: HostProtocol) -> tuple[int, int]:
+    """The longest answer that is asked for at rest alone: frames, and ns for which it takes the bus; zeros: none is."""
     frames: Counter[str] = Counter()
     taken_ns: Counter[str] = Counter()
     for number, part in enumerate(messages_by_segment(rig, layout)):
@@ -61,12 +61,18 @@ def rest_notes(rig: RigConfig, layout: HostProtocol) -> list[str]:
                 drive = f"{number} {message.sender}"
                 frames[drive] += message.at_rest
                 taken_ns[drive] += message.at_rest * frame_ns(message, rig.bus.bitrate, rig.bus.data_bitrate)
+    return max(frames.values(), default=0), max(taken_ns.values(), default=0)
+
+
+def rest_notes(rig: RigConfig, layout: HostProtocol) -> list[str]:
+    """How long an answer takes the bus that is asked for at rest alone, for people; nothing where there is none."""
+    frames, taken_ns = answer_at_rest(rig, layout)
     if not frames:
         return []
     return [
-        f"read back before READY and after a reset: an answer has up to {max(frames.values())} frames and takes the "
-        f"bus for up to {max(taken_ns.values()) * 1e-6:.1f} ms, one drive at a time. While a drive is enabled nothing "
-        "is asked, so the table leaves these frames out"
+        f"read back before READY and after a reset: an answer has up to {frames} frames and takes the bus for up to "
+        f"{taken_ns * 1e-6:.1f} ms, one drive at a time. While a drive is enabled nothing is asked, so the table "
+        "leaves these frames out"
     ]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.frame import EXTENDED, REMOTE, Frame
 from sim_plant.drives.odrive import Odrive
-from sim_plant.drives.servo import ServoDrive
+from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.drives.vesc import Motor, Vesc
 
 MS = 1_000_000
@@ -130,9 +130,10 @@ def test_odrive_hears_no_other_node_and_takes_its_time_to_enable() -> None:
     assert bench.servo.force == 1.0
 
 
-def vesc() -> tuple[Vesc, ServoDrive]:
+def vesc(**instead: float) -> tuple[Vesc, ServoDrive]:
     servo = ServoDrive(0, 2.0, 1e-7, 10 * MS, False, 0)
-    return Vesc(7, servo, lambda: -0.25, 0, motor=Motor(0.05, 7), feedback_ns=MS, status_ns=20 * MS), servo
+    times = {"feedback_ns": MS, "status_ns": 20 * MS}
+    return Vesc(7, servo, lambda: -0.25, 0, motor=Motor(0.05, 7), instead=instead, **times), servo
 
 
 def test_vesc_makes_torque_of_current_and_of_nothing_else() -> None:
@@ -160,3 +161,60 @@ def test_vesc_begins_again_after_its_timeout_and_tells_one_turn() -> None:
     assert struct.unpack(">hhhh", sent[0x1007])[3] == 13_500  # 270 degrees times 50
     assert struct.unpack(">ihh", sent[0x0907])[1] == 200  # 20 A
     assert struct.unpack(">ihxx", sent[0x1B07])[0] == round(-0.25 * 7 * 6)
+
+
+@pytest.mark.parametrize(("instead", "least", "most"), [
+    ({}, -2.0, 2.0),
+    ({"l_current_max": 10.0}, -2.0, 0.5),
+    ({"l_current_min": -4.0}, -0.2, 2.0),
+    ({"l_current_max": 10.0, "l_current_min": -10.0, "l_current_max_scale": 5000}, -0.25, 0.25),
+])  # fmt: skip
+def test_vesc_clips_current_to_its_configuration(instead: dict[str, float], least: float, most: float) -> None:
+    drive, servo = vesc(**instead)
+    for milliamperes, force in ((100_000, most), (-100_000, least)):
+        drive.on_frame(Frame(EXTENDED | 0x107, struct.pack(">i", milliamperes), 0, MS))
+        assert servo.force == pytest.approx(force)
+
+
+@pytest.mark.parametrize(("timeout_ms", "deadline_ns"), [(10, 11 * MS), (500, 501 * MS)])
+def test_vesc_lets_go_after_the_timeout_of_its_configuration(timeout_ms: int, deadline_ns: int) -> None:
+    drive, servo = vesc(timeout_msec=timeout_ms)
+    drive.on_frame(Frame(EXTENDED | 0x107, struct.pack(">i", 20_000), 0, MS))
+    assert servo.deadline_ns == deadline_ns
+
+
+def test_a_vesc_without_a_timeout_never_lets_go() -> None:
+    drive, servo = vesc(timeout_msec=0)
+    drive.on_frame(Frame(EXTENDED | 0x107, struct.pack(">i", 20_000), 0, MS))
+    assert servo.deadline_ns >= NEVER_NS
+
+
+def answer_of(drive: Vesc, question: bytes) -> list[Frame]:
+    assert drive.on_frame(Frame(EXTENDED | 0x807, question, 0, drive.now_ns)) == []
+    sent = [frame for at in range(400) for frame in drive.advance(drive.now_ns + MS // 10 * (at > 0))]
+    return [frame for frame in sent if frame.can_id & 0xFF == 99]
+
+
+def test_vesc_tells_its_configuration_in_pieces_to_who_asked() -> None:
+    drive, _ = vesc(l_current_max=12.5)
+    frames = answer_of(drive, bytes((99, 0, 14)))
+    assert [frame.can_id >> 8 & 0xFF for frame in frames] == [5] * 37 + [6] * 38 + [7]
+    packet = b"".join(f.data[1 if f.can_id >> 8 & 0xFF == 5 else 2 :] for f in frames[:-1])
+    assert packet[:5] == bytes((14,)) + (788332866).to_bytes(4, "big")
+    assert struct.unpack_from(">f", packet, 9) == (12.5,)
+    assert frames[-1].data[:4] == bytes((7, 1)) + len(packet).to_bytes(2, "big")
+    assert len(packet) == 484
+
+
+def test_vesc_tells_its_timeout_and_its_firmware_and_answers_nothing_else() -> None:
+    drive, _ = vesc()
+    packet = b"".join(frame.data[1:] for frame in answer_of(drive, bytes((99, 0, 17)))[:-1])
+    assert struct.unpack_from(">IBI", packet, 1) == (2099347128, 7, 10)
+    assert answer_of(drive, bytes((99, 0, 0)))[0].data[:4] == bytes((0, 0, 6, 6))
+    for question in (b"", bytes((99, 0)), bytes((99, 1, 14)), bytes((99, 2, 14)), bytes((99, 0, 13))):
+        assert answer_of(drive, question) == []
+
+
+def test_an_unknown_value_of_a_vesc_is_refused() -> None:
+    with pytest.raises(ValueError, match="'l_currant' is no value of an emulated VESC; there are mcconf_signature, "):
+        vesc(l_currant=1.0)

@@ -18,6 +18,7 @@ from hil.cycle.fault_table import ROWS, Fault, Reaction
 from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import TABLE, TORQUE_STATES, Event, State
 from hil.cycle.tick import CommandKind
+from hil.rig.bus_load import answer_at_rest
 from hil.rig.file import build_rig
 from hil.rig.layout import host_layout
 from hil.rig.provenance import referenced_files, unpacked_rig
@@ -71,6 +72,14 @@ def state_ticks(run: CampaignRun) -> int:
     """By how much later it is seen what drives say of themselves, where they say it in messages of their own time."""
     state_ns = run.cycle.protocol.state_ns
     return -(-state_ns // run.rig.period_ns)
+
+
+def answer_ticks(run: CampaignRun, began: State) -> int:
+    """By how much later a flood is seen that waits for the answer of a drive that is read back before READY."""
+    if began is not State.CONNECTED:
+        return 0
+    _, taken_ns = answer_at_rest(run.rig, run.cycle.protocol)
+    return -(-taken_ns // run.rig.period_ns)
 
 
 def will_move(run: CampaignRun, axis: int, ticks: int) -> bool:
@@ -168,6 +177,7 @@ def failure(trial: Trial, began: State, due: tuple[Fault, ...], run: CampaignRun
     if fault is not exactly and not pushed and not run.cycle.protocol.acts_ns:  # drives in their own time: see trials
         return f"latched {fault.name}, but this is {exactly.name}"
     within = trial.allowed(fault, run.rig) + (state_ticks(run) if ROWS[fault].told_by_drives else 0)
+    within += answer_ticks(run, began) if fault is Fault.RECEIVE_FLOOD else 0
     if due and seen.detected > within:
         return f"{fault.name} detected after {seen.detected} ticks, allowed {within}"
     if due and REACTIONS[fault] < trial.demand:

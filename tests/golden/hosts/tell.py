@@ -148,9 +148,10 @@ def _facts(host: HostProtocol, device: DeviceProtocol, period_ns: int) -> list[s
     """What both ends say of themselves; numbers of one kind, so that the compiled build says them alike."""
     ends = [(float(low), float(high)) for low, high in host.positions]
     lines = [f"{host.fd} {host.echo_id} {host.sequence_modulus} {ends} {list(host.acts_ns)} {host.state_ns}"]
-    for name, can_id, length, fd, *times, sender, after, brs, _ in host.messages(period_ns):
+    for name, can_id, length, fd, *times, sender, after, brs, _, at_rest in host.messages(period_ns):
         when = [int(time_ns) for time_ns in times]
-        lines.append(f"{name} {can_id} {length} {bool(fd)} {when} {sender} {after}{' slow' if fd and not brs else ''}")
+        also = f"{' slow' if fd and not brs else ''}{f' at rest {at_rest}' if at_rest else ''}"
+        lines.append(f"{name} {can_id} {length} {bool(fd)} {when} {sender} {after}{also}")
     lag, resolution = getattr(device, "enable_lag", 0), float(getattr(device, "force_resolution", 0.0))
     fd, modulus = bool(getattr(device, "fd", False)), int(getattr(device, "sequence_modulus", 0))
     return [*lines, f"{device.n_axes} {fd} {modulus} {lag} {resolution!r}"]
