@@ -23,6 +23,7 @@ from hil.rig.bus_load import (
     highest_rate,
     layout_warnings,
     problems,
+    rest_notes,
     rig_layout,
 )
 from hil.rig.difference import rig_differences
@@ -112,6 +113,7 @@ def bus_of(rig: RigConfig) -> dict[str, Any]:
     layout = rig_layout(rig, RIGS)
     analysis = analyse_rig(rig, layout)
     notes = [encoder_notes(rig), plant_notes(rig), emulation_notes(rig), feedback_notes(rig, layout)]
+    notes.append(rest_notes(rig, layout))
     return {
         **as_json(analysis),
         "tightest": analysis.tightest.frame,

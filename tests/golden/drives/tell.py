@@ -98,11 +98,16 @@ def _odrive(delay_ns: int) -> tuple[Node, Ask]:
     return drive, ask
 
 
-def _vesc() -> tuple[Node, Ask]:
+def _vesc(*questions: int) -> tuple[Node, Ask]:
+    """questions: numbers of the packets that it is asked for now and then, in place of a current."""
+
     def position() -> float:
         return -0.25 + drive.now_ns * 1e-9 * 3.0
 
     def ask(draw: Random) -> list[Frame]:
+        if questions and draw.randrange(6) == 0:
+            packet = bytes((draw.choice((200, 99)), draw.choice((0, 0, 0, 1)), draw.choice(questions)))
+            return [Frame(EXTENDED | 8 << 8 | draw.choice((7, 7, 7, 8)), _mostly_whole(packet, draw))]
         value = draw.choice((0, 1, -1, 20_000, -39_999, 40_001, -(2**31), 2**31 - 1, 7))
         can_id = draw.choice((1, 1, 1, 1, 1, 0, 2, 3, 4, 5, 9)) << 8 | draw.choice((7, 7, 7, 7, 7, 8))
         flags = FD if draw.randrange(40) == 0 else 0
@@ -288,6 +293,7 @@ def drives(folder: Path) -> dict[str, tuple[Node, Ask]]:
         "an odrive": _odrive(0),
         "an odrive that takes its time": _odrive(2 * MS),
         "a vesc": _vesc(),
+        "a vesc that is asked": _vesc(0, 13, 14, 14, 17),
         "a moteus": _moteus(0),
         "a moteus that takes its time": _moteus(2 * MS),
     }

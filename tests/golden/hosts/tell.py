@@ -218,7 +218,9 @@ def lines(pieces: Sequence[Sequence[str]]) -> list[str]:
     """A line a piece."""
     told = []
     for number, piece in enumerate(pieces):
-        heard = Counter(what if what in Reject.__members__ else "samples" for what in outcomes(piece))
+        heard = Counter(
+            what if what in Reject.__members__ else "samples" if what else "parts" for what in outcomes(piece)
+        )
         counts = ", ".join(f"{name} {count}" for name, count in sorted(heard.items()))
         told.append(f"piece {number}: {len(piece)} lines; heard {counts}; sha256 {sha256(chr(10).join(piece))}")
     return told
