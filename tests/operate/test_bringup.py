@@ -63,6 +63,17 @@ def test_drives_as_the_rig_file_says_are_ready(kind: str, tmp_path: Path) -> Non
     assert not bench.host.any_enabled or kind == "vesc"  # one that tells no state counts as enabled when told to be
 
 
+@pytest.mark.parametrize(("kind", "instead", "told"), [
+    ("odrive", {"controller.config.control_mode": 3}, "axis 1: TxSdo1.Control_Mode = 3; expected 1"),
+    ("vesc", {"l_current_max": 0.5}, "axis 1, VESC 1: l_current_max = 0.5; expected 0.1592 to 0.161"),
+    ("vesc", {"mcconf_signature": 1470992211}, "axis 1, VESC 1: signature of the motor configuration = 1470992211"),
+])  # fmt: skip
+def test_a_drive_that_is_set_otherwise_is_told(kind: str, instead: dict[str, float], told: str, tmp_path: Path) -> None:
+    report = bench_of(kind, tmp_path, instead=instead).survey()
+    assert not report.ready
+    assert report.axes[1].problem.startswith(told)
+
+
 @pytest.mark.parametrize("name", ["paper", "microscope"])
 def test_so_are_the_projects_own(name: str) -> None:
     bench = BringupBench(load_rig(RIGS / f"{name}.toml"), RIGS)

@@ -26,6 +26,17 @@ PAIRS = {
         "moteus", [], "rate_hz=1000", "bus.moteus.watchdog_s=0.02",
         "bus.moteus.watchdog_s = 0.02: the drives are told another than drives.watchdog_s says",
     ),
+    "the timeout of a VESC": (
+        "vesc", [], "drives.watchdog_s=0.01", "drives.watchdog_s=0.0099",
+        "bus.dbc.vesc.values[3]: timeout_msec may be 10 to 10; the rig relies on drives.watchdog_s = 0.0099, so it has "
+        "to be above 0 and at most 9.9",
+    ),
+    "a VESC without a timeout": (
+        "vesc", ["bus.dbc.vesc.application_signature=1"],
+        'bus.dbc.vesc.values=[{value="timeout_msec",least=1,most=10}]',
+        'bus.dbc.vesc.values=[{value="timeout_msec",least=0,most=10}]',
+        "timeout_msec may be 0 to 10; the rig relies on drives.watchdog_s = 0.01, so it has to be above 0",
+    ),
     "half a turn between two positions": (
         "vesc", [], "axes.x.limits.speed=2.4999", "axes.x.limits.speed=2.501",
         "bus.dbc.position: at axes.x.limits.speed the axis goes 0.005002 in the 0.002 s between two positions; it must "

@@ -96,7 +96,8 @@ class DriveHost:
     def problem(self, axis: int) -> str:
         """What stands against the drive of one axis, in words; empty where nothing is known to."""
         if self.cia402 is None:
-            return ""
+            theirs = f"axis {axis}:", f"axis {axis},"
+            return next((text for text in self.protocol.problems if text.startswith(theirs)), "")
         node = self.cia402.nodes[axis]
         return node.problem or node.emergency
 

@@ -229,6 +229,8 @@ class Survey:
             report.problem = node.problem
             report.state = node.state.name if node.state else ""
             report.steps = _steps(plan, node)
+        else:
+            report.problem = host.problem(axis)
         return report
 
 

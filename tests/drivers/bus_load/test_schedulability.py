@@ -269,3 +269,10 @@ def test_a_bus_that_carries_no_rate_at_all_is_told_to_be_faster() -> None:
     slow = ["bus.protocol=cia402", "bus.bitrate=10000", "bus.data_bitrate=10000"]
     with pytest.raises(RigError, match="; a higher bit rate or a leaner layout would do"):
         refuse_unschedulable(load_rig(path, slow), path.parent)
+
+
+def test_what_is_sent_at_rest_alone_delays_nothing_and_has_no_row() -> None:
+    burst = [Message("answer", 0x001, 8, False, MS, MS, 0, "drive0", at_rest=80)]
+    assert analyse([*STAGE_CLASSIC, *burst], 1_000_000, 1_000_000) == analyse(STAGE_CLASSIC, 1_000_000, 1_000_000)
+    with pytest.raises(ValueError, match="the name is used twice"):
+        analyse([*STAGE_CLASSIC, *burst, *burst], 1_000_000, 1_000_000)
