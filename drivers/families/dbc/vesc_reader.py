@@ -146,6 +146,7 @@ class VescReader:
         """A position of its drive came. After a silence it may have restarted, with another configuration."""
         if tick - self._sample_tick[axis] > self._silence_ticks:
             self._proofs[axis].begin()
+            self._waits = None if self._waits and self._waits[0] == axis else self._waits
         self._sample_tick[axis] = tick
 
     def begin(self) -> None:
