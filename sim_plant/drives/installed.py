@@ -99,7 +99,7 @@ def installed_drives(
     assert config is not None
     nodes = config.nodes or list(range(len(servos)))
     return [
-        _in_turns(config, node, servo, partial(_turns, servo, position, abs(turn)), start_ns)
+        _in_turns(bus, config, node, servo, partial(_turns, servo, position, abs(turn)), start_ns)
         for node, servo, position, turn in zip(nodes, servos, positions, config.turn, strict=True)
     ]
 
@@ -114,7 +114,9 @@ def _status(servo: ServoDrive, position: Position) -> int:
     return servo.sample(position(), servo.last_command_ns).status
 
 
-def _in_turns(config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: Position, start_ns: int) -> DriveNode:
+def _in_turns(
+    bus: BusConfig, config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: Position, start_ns: int
+) -> DriveNode:
     feedback_ns, state_ns = round(config.feedback_s * 1e9), round(config.heartbeat_s * 1e9)
     if config.kind == "odrive":
         from sim_plant.drives.odrive import Odrive
@@ -125,8 +127,8 @@ def _in_turns(config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: 
     from sim_plant.drives.vesc import Motor, Vesc
 
     motor = Motor(config.torque_constant, config.pole_pairs)
-    times = {"feedback_ns": feedback_ns, "status_ns": state_ns}
-    return Vesc(node, servo, turns, start_ns, motor=motor, instead=config.instead, **times)
+    pace = {"feedback_ns": feedback_ns, "status_ns": state_ns, "bitrate": bus.bitrate}
+    return Vesc(node, servo, turns, start_ns, motor=motor, instead=config.instead, **pace)
 
 
 def _moteus(

@@ -44,7 +44,7 @@ _STATUS_4, _STATUS_5 = Struct(">hhhh"), Struct(">ihxx")
 _PER_DEGREE, _PER_EREV, _PER_AMPERE = 50, 6, 10
 _DEGREES = 360.0
 _TRIPPED = int(DriveStatus.WATCHDOG)
-_ANSWER_FRAME_NS = 200_000  # between two frames of an answer
+ANSWER_FRAME = 300  # bits between two frames of an answer: a long one and as much again for others
 _HUNDREDTHS = 100  # of an ampere, to which its current limits are set
 
 
@@ -74,6 +74,7 @@ class Vesc(CyclicNode):
         feedback_ns: int,
         status_ns: int,
         instead: Mapping[str, float] | None = None,
+        bitrate: int = 1_000_000,
     ) -> None:
         periodic = ((feedback_ns, self._status_4), (status_ns, self._status), (status_ns, self._status_5))
         super().__init__(node_id, servo, start_ns, *periodic)
@@ -81,6 +82,7 @@ class Vesc(CyclicNode):
         self._motor = motor
         self._last = (start_ns, math.nan)
         self._answers: deque[Frame] = deque()
+        self._answer_frame_ns = ANSWER_FRAME * 1_000_000_000 // bitrate
         self._answer_ns = self._status_ns = self.next_ns
         self.configure(instead or {})
 
@@ -129,7 +131,7 @@ class Vesc(CyclicNode):
             packet = configuration(number, self._values)
         if packet:
             if not self._answers:
-                self._answer_ns = self.now_ns + _ANSWER_FRAME_NS
+                self._answer_ns = self.now_ns + self._answer_frame_ns
             self._answers += answer(packet, self.node_id, asker)
             self.next_ns = min(self._status_ns, self._answer_ns)
 
@@ -140,7 +142,7 @@ class Vesc(CyclicNode):
         self._status_ns = self.next_ns
         while self._answers and self._answer_ns <= self.now_ns:
             frames.append(self._answers.popleft())
-            self._answer_ns += _ANSWER_FRAME_NS
+            self._answer_ns += self._answer_frame_ns
         if self._answers:
             self.next_ns = min(self._status_ns, self._answer_ns)
         return frames

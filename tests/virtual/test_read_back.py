@@ -130,6 +130,13 @@ def test_a_vesc_whose_bus_loses_frames_is_asked_until_it_is_told() -> None:
     assert run.cycle.problems == []
 
 
+def test_vescs_on_a_slower_bus_are_read_back_more_slowly() -> None:
+    run = run_of("vesc", ("bus.bitrate=500000",))
+    assert not to_ready(run, 85)  # 0.16 s are enough at 1 Mbit/s
+    assert to_ready(run, 60)
+    assert run.cycle.problems == []
+
+
 def test_a_vesc_that_does_not_answer_is_told_by_name() -> None:
     run = run_of("vesc", ("plant.drive.nodes=[0, 5]",))
     assert not to_ready(run, 300)
