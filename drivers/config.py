@@ -174,3 +174,8 @@ class DrivesConfig(Table):
     brake: bool | list[bool] = key(
         False, "at zero torque the axis is held by a brake that its drive engages; false: it is free to move"
     )
+    # The host holds the weight against the closed brake meanwhile, and moves nothing.
+    brake_opening_s: float = key(
+        0.0, "longest that a brake takes to open once its drive applies torque", "s", ge=0, le=2,
+        exclude_if=lambda seconds: seconds == 0.0,
+    )  # fmt: skip

@@ -223,6 +223,7 @@ class EmulatedStage:
             for drive in self.drives:
                 if drive.deadline_ns <= self.now_ns:
                     drive.trip(self.now_ns)
+                drive.open(self.now_ns)
             self.outputs.expire(self.now_ns)
             while self._agenda and self._agenda[0][0] <= self.now_ns:
                 heappop(self._agenda)[2]()
@@ -265,6 +266,8 @@ class EmulatedStage:
         for drive in drives:
             if drive.deadline_ns < deadline_ns:
                 deadline_ns = drive.deadline_ns
+            if drive.opens_ns < deadline_ns:
+                deadline_ns = drive.opens_ns
         if self.outputs.nodes:
             bits, off_ns = self.outputs.switched()
             deadline_ns = min(deadline_ns, off_ns)

@@ -141,6 +141,9 @@ class UserStage(Stage):
         """See Stage."""
         self._held = np.array(np.broadcast_to(np.asarray(force, dtype=np.float64), self.truth.shape))
 
+    def stand(self, force: ArrayLike) -> None:
+        """See Stage; no lag of ours is in it."""
+
     def change(self, truth: Truth) -> None:
         """See Stage."""
         self.truth = truth

@@ -85,7 +85,11 @@ class Axes:
             motion.tell(x)
         self.net_last = self.net_before = self.zero
         self.setpoints.hold(self.measured)
-        self.law.reset(self.measured, [model.gravity for model in self.models])
+        self.law.reset(self.measured, self.weights())
+
+    def weights(self) -> list[float]:
+        """What holds the axes against gravity, N per axis."""
+        return [model.gravity for model in self.models]
 
     def distrust(self) -> None:
         """A fault latches: what the law has learnt since the last rest is not kept."""

@@ -276,11 +276,13 @@ class ControlCycle:
         )
 
     def _ask(self) -> list[float]:
-        """The force asked for, N per axis: of the damped stop, else of the law."""
+        """The force asked for, N per axis: of the damped stop, what brakes open on, of the push, else of the law."""
         if self.supervisor.machine.state is State.STOPPING:
             damped = self.supervisor.damped_stop.force(self.axes.ahead_velocity())
             released = self.supervisor.released
             return damped if released is None else shared(self._of_law(), damped, released)
+        if self.supervisor.opening > 0:
+            return self.axes.weights()
         if self.supervisor.commissioning.running:
             return self.supervisor.commissioning.force(self.axes.ahead_velocity())
         return self._of_law()

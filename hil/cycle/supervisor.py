@@ -17,6 +17,8 @@ Rules:
   the law's force and the rig's own references, and the damped stop behind that.
 - A run begins at rest where the axes are, and its task's clock starts in the tick in which the last drive says that it
   applies torque. Where the rig asks for a commissioning push, it starts behind that.
+- Where brakes take time to open (drives.brake_opening_s), the weights' forces stand meanwhile. The law takes over as
+  the last brake opens; the task or the push begins a tick later.
 
 Theory of operation: `advance` is called once a tick, after the detectors. Every transition goes through `_handle`,
 which asks the state machine and, where the state has changed (or was reset), `_enter` for the state's entry actions.
@@ -60,9 +62,10 @@ class Supervisor:
     """States, faults and commands of one control cycle. Raises ValueError naming a task that this rig cannot have.
 
     fault: the one that latched. silent: nothing is sent until a reset. enabled: every drive has said that it applies
-    torque, and none has taken it back. released: while the tip is led out, axes that have the damped stop's force all
-    the same; None: it is not. way_out: of the rig's motion; None: it declares none. start_ranges: by axis, where the
-    task may begin, m (rad). homing: how axes find their positions; None: none has to.
+    torque, and none has taken it back. opening: ticks that brakes still take to open. released: while the tip is led
+    out, axes that have the damped stop's force all the same; None: it is not. way_out: of the rig's motion; None: it
+    declares none. start_ranges: by axis, where the task may begin, m (rad). homing: how axes find their positions;
+    None: none has to.
     """
 
     def __init__(
@@ -73,7 +76,7 @@ class Supervisor:
         self.commands = CommandDesk()
         self.fault = Fault.NONE
         self.silent = False
-        self.enabled = False
+        self.enabled, self.opening = False, 0
         speed = [axis.limits.speed for axis in rig.axes.values()]
         period_s = rig.period_ns * 1e-9
         self.damped_stop = DampedStop(axes.models, speed, period_s, rig.safety.stop_s)
@@ -258,7 +261,7 @@ class Supervisor:
         self._monitor.watch_rest(coasting=True)  # behind this run
         self._axes.rest()
         self._waited_for_enable = 0
-        self.enabled = False
+        self.enabled, self.opening = False, self._rig.opening_ticks
 
     # what a state waits for -------------------------------------------------------------------------------------------
 
@@ -269,6 +272,8 @@ class Supervisor:
         elif state is State.ACTIVE or state is State.HOMING:
             if not self.enabled:
                 self._await_enable(tick)
+            elif self.opening >= 0:
+                self._open(tick)
             elif self.commissioning.running:
                 self._push(tick)
             elif state is State.HOMING:
@@ -293,13 +298,20 @@ class Supervisor:
         self._waited_for_enable += 1
         if all(s is not None and s.status & DriveStatus.ENABLED for s in self._inbox.samples):
             self.enabled = True
-            if self.commissioning.done:
-                self._begin(tick)
-            else:
-                self.commissioning.start(self._axes.measured)
+            self._open(tick)
         elif self._waited_for_enable >= self._rig.safety.enable_timeout_ticks:
             self._monitor.flag_not_enabled(self._waited_for_enable, self._inbox)
             self.latch(Fault.ENABLE_TIMEOUT, Reaction.ZERO, tick)
+
+    def _open(self, tick: Tick) -> None:
+        """The brakes open; behind that the task, or the push before it, begins."""
+        self.opening -= 1
+        if self.opening == 0:
+            self._axes.rest()  # here; the sample shows where the weights' forces have put them
+        elif self.opening < 0 and self.commissioning.done:
+            self._begin(tick)
+        elif self.opening < 0:
+            self.commissioning.start(self._axes.measured)
 
     def _push(self, tick: Tick) -> None:
         """The commissioning push; the task begins at rest behind it."""

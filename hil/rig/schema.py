@@ -109,6 +109,14 @@ class RigConfig(Table):
         return max(LEAST_RING_SLOTS, math.ceil(self.telemetry.blackbox_s * self.rate_hz))
 
     @property
+    def opening_ticks(self) -> int:
+        """Ticks from the first torque until every brake has opened; 0: none has to, or it takes no time."""
+        brakes = self.drives.brake
+        if not (any(brakes) if isinstance(brakes, list) else brakes):
+            return 0
+        return math.ceil(self.drives.brake_opening_s * 1e9 / self.period_ns)
+
+    @property
     def mountings(self) -> list[Mounting]:
         """The drives on their axes, in bus order."""
         return [axis.mounting for axis in self.axes.values()]

@@ -2,7 +2,8 @@
 
 A plant's error here equals that of `hil sim` on a rig file with the same [plant], bit for bit, unless a fault stops
 the single run. Filter, setpoints, law, force limits, encoder rounding, the command's 32-bit force and the stage are
-the same code, called in the same order. All plants share the task, the sampling instants and the start at rest.
+the same code, called in the same order. All plants share the task, the sampling instants and the start at rest. Where
+brakes take time to open, a batch begins as they do.
 """
 
 from collections.abc import Sequence
@@ -55,8 +56,21 @@ class Bounds:
         return limited
 
 
+def standing(rig: RigConfig, bounds: Bounds, weight: Array, position: Array) -> Array:
+    """Force that the gate has let through as the law takes over, N: the weight's where brakes open on it, else none."""
+    force = np.zeros(position.shape)
+    for _ in range(rig.opening_ticks):
+        force = bounds.limit(weight + 0.0 * force, force, position)
+    return force
+
+
+def sent(force: Array) -> Array:
+    """As the command frame carries it, N."""
+    return force.astype(np.float32).astype(np.float64)
+
+
 class BatchRun:
-    """Plants `truth` (plants, n_axes) under `rig`, from the tick in which the rig becomes ACTIVE.
+    """Plants `truth` (plants, n_axes) under `rig`, from the tick in which the law takes over.
 
     trajectory: instead of the rig's task.
 
@@ -93,8 +107,11 @@ class BatchRun:
         self._setpoints = Setpoints(self._shared, rig.period_ns)
         zero = np.zeros(shape)
         self._net_last, self._net_before = zero, zero
-        self._force_last, self._measured, self._applied = zero, zero, zero
-        self.force, self.error = zero, np.zeros(shape)
+        self._measured, self.error = zero, np.zeros(shape)
+        self.force = self._force_last = standing(rig, self._bounds, self._model.gravity, zero + self._origin)
+        self._applied = sent(self.force)
+        if rig.opening_ticks:
+            self._stage.stand(self._applied)
 
     @property
     def law(self) -> Law:
@@ -118,7 +135,7 @@ class BatchRun:
         self._act()
         if self.index:  # until the first command arrives the brakes hold the stage
             self._stage.advance(self._period_ns, self._applied)
-        self._applied = self.force.astype(np.float32).astype(np.float64)
+        self._applied = sent(self.force)
         self.index += 1
 
     def change(self, truth: Truth) -> None:

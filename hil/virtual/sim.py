@@ -127,7 +127,7 @@ def _steady_due(run: LockstepRun) -> int:
     trajectory = run.cycle.setpoints.trajectory
     if run.activated_at < 0 or trajectory is None:
         return 0
-    return int(run.activated_at + 2 + trajectory.steady_from_ns // run.rig.period_ns)
+    return int(run.activated_at + run.rig.opening_ticks + 2 + trajectory.steady_from_ns // run.rig.period_ns)
 
 
 class Traces:

@@ -63,8 +63,9 @@ def installed_servos(
     resolution = per_axis_array("plant.encoder_resolution", plant.encoder_resolution, n_axes).tolist()
     brake = per_axis_array("drives.brake", config.brake, n_axes).astype(bool).tolist()
     watchdog_ns = round(config.watchdog_s * 1e9)
+    opening_ns = round(config.brake_opening_s * 1e9)
     servos = [
-        ServoDrive(axis, rated_force[axis], resolution[axis], watchdog_ns, brake[axis], modulus)
+        ServoDrive(axis, rated_force[axis], resolution[axis], watchdog_ns, brake[axis], modulus, opening_ns=opening_ns)
         for axis in range(n_axes)
     ]
     for entry in plant.switches:

@@ -103,9 +103,11 @@ class ServoDrive:
     """One axis' drive. Times are integer ns on the emulator's clock.
 
     axis: index. rated_force: N, > 0. resolution: m per count. watchdog_ns: > 0. has_brake: engaged whenever the drive
-    applies no force. sequence_modulus: of the frame layout; 0 where it has no sequence (every valid command is fresh).
+    applies no force, and for opening_ns after it began to apply one. sequence_modulus: of the frame layout; 0 where it
+    has no sequence (every valid command is fresh).
 
     force: N, applied now. status: DriveStatus bits. deadline_ns: when the watchdog expires (NEVER_NS: not armed).
+    opens_ns: when its brake opens (NEVER_NS: it does not).
     last_command_ns: last fresh command, -1 before the first. trips: every expiry. stale: commands that were not fresh.
     gain: torque constant over its nominal value. switches: its digital inputs. counter: of an incremental encoder;
     None: the encoder knows the axis' position. extra_status: bits shown on top of
@@ -126,6 +128,8 @@ class ServoDrive:
         "has_brake",
         "last_command_ns",
         "modulus",
+        "opening_ns",
+        "opens_ns",
         "rated_force",
         "resolution",
         "stale",
@@ -138,13 +142,15 @@ class ServoDrive:
     )
 
     def __init__(
-        self, axis: int, rated_force: float, resolution: float, watchdog_ns: int, has_brake: bool, sequence_modulus: int
-    ) -> None:
+        self, axis: int, rated_force: float, resolution: float, watchdog_ns: int, has_brake: bool,
+        sequence_modulus: int, *, opening_ns: int = 0,
+    ) -> None:  # fmt: skip
         self.axis = axis
         self.rated_force = rated_force
         self.resolution = resolution
         self.watchdog_ns = watchdog_ns
         self.has_brake = has_brake
+        self.opening_ns, self.opens_ns = opening_ns, NEVER_NS
         self.modulus = sequence_modulus
         self.force = 0.0
         self.gain = 1.0
@@ -187,7 +193,10 @@ class ServoDrive:
             self.fail()
         elif (enable or self.stuck) and not self.status & _LATCHES:
             self.force = force * self.gain
-            self.status = (self.status | _ENABLED) & ~_BRAKE
+            self.status |= _ENABLED
+            if self.status & _BRAKE and self.opens_ns == NEVER_NS:
+                self.opens_ns = now_ns + self.opening_ns
+                self.open(now_ns)
         else:
             self._release()
         return True
@@ -205,6 +214,12 @@ class ServoDrive:
         for tap in self.taps:
             sample = tap(sample)
         return sample
+
+    def open(self, now_ns: int) -> None:
+        """The brake opens if it is time."""
+        if self.opens_ns <= now_ns:
+            self.opens_ns = NEVER_NS
+            self.status &= ~_BRAKE
 
     def trip(self, now_ns: int) -> None:
         """The watchdog expires at now_ns: zero force, latched."""
@@ -227,5 +242,6 @@ class ServoDrive:
     def _release(self) -> None:
         self.force = 0.0
         self.status &= ~_ENABLED
+        self.opens_ns = NEVER_NS
         if self.has_brake:
             self.status |= _BRAKE

@@ -161,6 +161,11 @@ class Stage:
             self._clamp[...] = wanted
             self._configure(self._motions())
 
+    def stand(self, force: ArrayLike) -> None:
+        """The drives' forces have come up to `force` (N, (..., n_axes)), and nothing has moved."""
+        motion = self._motions()
+        self._configure(motion._replace(force=_filled(force, motion.force.shape)))
+
     def change(self, truth: Truth) -> None:
         """From now on the stage is this one, at the state it is in."""
         self.truth = truth

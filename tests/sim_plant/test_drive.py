@@ -13,8 +13,8 @@ MS = 1_000_000
 MODULUS = 256
 
 
-def make_drive(has_brake: bool = False) -> ServoDrive:
-    return ServoDrive(0, 5.0, 1e-7, 10 * MS, has_brake, MODULUS)
+def make_drive(has_brake: bool = False, opening_ns: int = 0) -> ServoDrive:
+    return ServoDrive(0, 5.0, 1e-7, 10 * MS, has_brake, MODULUS, opening_ns=opening_ns)
 
 
 def command(drive: ServoDrive, sequence: int, force: float = 1.0, *, enable: bool = True, reset: bool = False) -> bool:
@@ -95,6 +95,36 @@ def test_the_brake_is_on_whenever_there_is_no_force() -> None:
     assert not drive.status & DriveStatus.BRAKE
     drive.trip(11 * MS)
     assert drive.status & DriveStatus.BRAKE
+
+
+def test_a_brake_that_takes_time_opens_on_the_force_that_stands_by_then() -> None:
+    drive = make_drive(has_brake=True, opening_ns=3 * MS)
+    for sequence in range(1, 4):  # later commands do not put it off
+        command(drive, sequence)
+        assert (drive.opens_ns, drive.force) == (4 * MS, 1.0)
+        drive.open(4 * MS - 1)
+        assert drive.status & DriveStatus.BRAKE
+        assert drive.status & DriveStatus.ENABLED
+    drive.open(4 * MS)
+    assert not drive.status & DriveStatus.BRAKE
+    assert drive.opens_ns == NEVER_NS
+
+
+@pytest.mark.parametrize("how", ["disabled", "trip", "fault"])
+def test_a_drive_that_lets_go_while_its_brake_opens_keeps_it_closed(how: str) -> None:
+    drive = make_drive(has_brake=True, opening_ns=3 * MS)
+    command(drive, 1)
+    if how == "disabled":
+        command(drive, 2, enable=False)
+    elif how == "trip":
+        drive.trip(2 * MS)
+    else:
+        drive.fail()
+    drive.open(100 * MS)
+    assert drive.status & DriveStatus.BRAKE
+    if how == "disabled":
+        command(drive, 3)
+        assert drive.opens_ns == 6 * MS, "it begins anew"
 
 
 def test_the_encoder_rounds_to_its_resolution_and_answers_with_the_last_sequence() -> None:

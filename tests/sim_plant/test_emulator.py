@@ -105,6 +105,19 @@ def test_z_stays_up_by_its_brake_without_a_host_and_after_the_host_is_gone() -> 
     assert abs(stage.position[2]) < 1e-6
 
 
+def test_a_brake_that_takes_time_holds_the_axis_until_then() -> None:
+    slow = DRIVES.model_copy(update={"brake_opening_s": 0.0205})
+    bus = BusConfig(protocol="stage_fd")
+    stage = EmulatedStage(PLANT, bus, AXES, RATED, Path(), drives=slow)
+    host = host_protocol(bus, len(AXES), RATED, Path())
+    for tick in range(1, 30):
+        stage.on_frame(frame(host, tick * MS, tick, [0.0, 0.0, 0.0]))
+        closed = bool(stage.drives[2].status & DriveStatus.BRAKE)
+        assert closed == (tick < 22), "the first force, 20.5 ms, and the command behind that"
+        assert (stage.position[2] < 0.0) != closed, "it falls without a force that holds it"
+    assert abs(stage.position[0]) == 0.0
+
+
 def test_frames_that_are_no_command_are_counted_and_change_nothing() -> None:
     stage, host = make()
     good = frame(host, 1 * MS, 1, [1.0, 0.0, 0.0])

@@ -44,17 +44,26 @@ QUICK = ["task.radius=0.01", "task.approach_s=0.2", "task.settle_s=0.1", "plant.
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("rig_file", "law"),
-    [(PAPER, "pd-feedforward"), (PAPER, "structured-kalman"), (PAPER, "slotine-li"), (MICROSCOPE, "")],
+    ("rig_file", "law", "opening_s"),
+    [
+        (PAPER, "pd-feedforward", 0.0),
+        (PAPER, "structured-kalman", 0.0),
+        (PAPER, "slotine-li", 0.0),
+        (MICROSCOPE, "", 0.0),
+        (MICROSCOPE, "", 0.001),
+        (MICROSCOPE, "", 0.02),
+    ],
 )
-def test_a_batch_equals_the_full_path_bit_for_bit(rig_file: Path, law: str) -> None:
+def test_a_batch_equals_the_full_path_bit_for_bit(rig_file: Path, law: str, opening_s: float) -> None:
     """Protocol, wire, drives and cycle on one side, arrays on the other: the same error and force in every tick."""
     changes = ["wire.stuffing=worst"] + ([f"law.name={law}", "plant.modelling_error=0.3"] if law else [])
-    rig = load_rig(rig_file, changes)
+    rig = load_rig(rig_file, [*changes, f"drives.brake_opening_s={opening_s}"])
     single = LockstepRun(rig, rig_file.parent, observer=Invariants(rig, rig_file.parent).observe)
     truth = Truth.from_config(rig.plant, len(rig.axes), rig.axis_names)
     batch = BatchRun(rig, Truth.stack([truth, truth]))
     while single.activated_at < 0:
+        single.tick()
+    for _ in range(rig.opening_ticks):
         single.tick()
     batch.tick()
     for _ in range(700):

@@ -5,8 +5,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from drivers.protocols.base import DriveStatus
 from drivers.wire.faults import FaultKind, WireFault
 from hil.cycle.fault_table import Fault
+from hil.cycle.goal import MotionWord
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.rig.file import load_rig
@@ -98,6 +100,66 @@ def test_the_brake_holds_z_until_torque_does(ideal_microscope: RigConfig, lockst
     ticks(run, 200)
     assert run.cycle.state is State.READY
     assert run.stage.velocity[2] == 0.0
+
+
+OPENING = 40  # ticks
+
+
+@pytest.fixture
+def slow_brake() -> RigConfig:
+    return load_rig(RIGS / "microscope-ideal.toml", [f"drives.brake_opening_s={OPENING}e-3"])
+
+
+def test_the_law_takes_over_as_the_brake_opens_and_nothing_moves_before(
+    slow_brake: RigConfig, lockstep: MakeRun
+) -> None:
+    run = run_until(lockstep(slow_brake), State.ACTIVE)
+    goals, weights = run.cycle.supervisor.goals, [0.0, 0.0, 2.45, 0.0]
+    for _ in range(OPENING):
+        assert run.cycle.gate.force == weights
+        assert goals.word is MotionWord.NONE
+        assert run.cycle.setpoints.trajectory is None
+        assert run.stage.position.tolist() == [0.0] * 4
+        assert run.stage.drives[2].status & DriveStatus.BRAKE
+        run.tick()
+    run.tick()
+    assert not run.stage.drives[2].status & DriveStatus.BRAKE
+    assert goals.word is MotionWord.TASK
+    assert run.cycle.setpoints.task_ns < 1_000_000
+    ticks(run, 300)
+    assert run.cycle.state is State.ACTIVE
+    assert not any(run.cycle.monitor.counts)
+
+
+@pytest.mark.parametrize(
+    ("kind", "state"), [(CommandKind.STOP, State.READY), (CommandKind.ESTOP, State.ESTOP)], ids=["stop", "estop"]
+)
+@pytest.mark.parametrize("after", [1, 20, OPENING, OPENING + 2])
+def test_a_stop_while_the_brake_opens_ends_with_it_closed(
+    slow_brake: RigConfig, lockstep: MakeRun, kind: CommandKind, state: State, after: int
+) -> None:
+    run = lockstep(slow_brake, operator=commands({100: CommandKind.ACTIVATE, 100 + after: kind, 300: kind}))
+    ticks(run, 200)
+    assert run.cycle.state is state
+    assert run.stage.drives[2].status & DriveStatus.BRAKE
+    assert run.stage.applied_force == [0.0] * 4
+    assert abs(run.stage.position[2]) < 1e-5
+
+
+def test_a_fault_while_the_brake_opens_ends_with_it_closed(slow_brake: RigConfig, lockstep: MakeRun) -> None:
+    run = run_until(lockstep(slow_brake), State.ACTIVE)
+    ticks(run, OPENING // 2)
+    run.stage.drives[0].fail()
+    ticks(run, 2)
+    assert (run.cycle.state, run.cycle.fault) == (State.FAULT, Fault.DRIVE_FAULT)
+    ticks(run, 200)
+    assert run.stage.drives[2].status & DriveStatus.BRAKE
+    assert run.stage.position[2] == 0.0
+
+
+def test_without_a_brake_nothing_waits_for_it(slow_brake: RigConfig) -> None:
+    free = slow_brake.model_copy(update={"drives": slow_brake.drives.model_copy(update={"brake": False})})
+    assert (slow_brake.opening_ticks, free.opening_ticks) == (OPENING, 0)
 
 
 @pytest.mark.requirement(id="SR-2.2")

@@ -164,7 +164,9 @@ def only(rig: RigConfig, names: Sequence[str]) -> RigConfig:
         update={key: picked(getattr(rig.plant, key)) for key in ("encoder_resolution", "initial_position")}
     )
     axes = {name: axis for name, axis in rig.axes.items() if name in names}
-    return rig.model_copy(update={"axes": axes, "law": law, "estimator": estimator, "plant": plant})
+    drives = rig.drives.model_copy(update={"brake": picked(rig.drives.brake)})
+    parts = {"axes": axes, "law": law, "estimator": estimator, "plant": plant, "drives": drives}
+    return rig.model_copy(update=parts)
 
 
 def columns(truth: Truth, kept: Sequence[int]) -> Truth:

@@ -108,12 +108,12 @@ def run_chunk(job: Job) -> Figures:
 
 
 def startup_ticks(rig: RigConfig, base_dir: Path) -> int:
-    """Ticks of a single run before the rig becomes ACTIVE. Raises RigError where it does not."""
+    """Ticks of a single run before the law takes over. Raises RigError where it does not."""
     run = LockstepRun(rig, base_dir)
     for _ in range(STARTUP_LIMIT):
         run.tick()
         if run.activated_at >= 0:
-            return run.activated_at
+            return run.activated_at + rig.opening_ticks
     raise RigError([f"{rig.name}: not ACTIVE within {STARTUP_LIMIT} ticks of lockstep; try `hil sim`"])
 
 

@@ -23,7 +23,7 @@ from hil.control.trajectories import Trajectory, make_trajectory
 from hil.control.trajectories.base import Times
 from hil.cycle.limits import force_limits
 from hil.rig.schema import LawConfig, RigConfig
-from hil.virtual.batch import Bounds
+from hil.virtual.batch import Bounds, sent, standing
 from sim_plant.config import PlantConfig
 from sim_plant.physics.stage import Truth
 from sim_plant.user_stage import stage_of
@@ -143,6 +143,7 @@ class CandidateSimulation:
         self._initial = float(initial[axis])
         self._truths = [self._truth(trial, pick) for trial in trials]
         origin = np.rint(initial / self._resolution) * self._nominal_resolution
+        self.origin = float(origin[axis])
         tasks = [rig.task.model_copy(update=dict(trial.task)) for trial in trials]
         paths = [make_trajectory(task, rig.axis_names, origin, rig.period_ns, rig.counts) for task in tasks]
         begins = [path.steady_from_ns // rig.period_ns + 1 if first is None else first for path in paths]
@@ -207,10 +208,16 @@ class _Plants:
         for group in self._groups:
             truth = Truth.stack([Truth.stack([of._truths[index] for index in group])] * candidates)
             self._stages.append(stage_of(of._rig.plant, truth, np.full(truth.shape, of._initial)))
-        self._arrival = of.schedule.arrival
+        self._arrival, self._brakes_open_on_it = of.schedule.arrival, of._rig.opening_ticks > 0
         self._steps, self._steps_at = of.steps, of.steps_at
         self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)  # true
         self.shown: Array = self.position.copy()  # by the encoders
+
+    def stand(self, force: Array) -> None:
+        """Brakes open on this force (N)."""
+        if self._brakes_open_on_it:
+            for group, stage in zip(self._groups, self._stages, strict=True):
+                stage.stand(force[:, group])
 
     def advance(self, tick: int, force: Array) -> None:
         """From the arrival of command tick - 1 to that of command tick, under `force` (N)."""
@@ -236,7 +243,10 @@ class _Run:
             self._inputs.preview = [blank_inputs((1, 1, 1)).start for _ in range(law.preview + 1)]
         zero = np.zeros(shape)
         self._net = [zero, zero]  # last, before
-        self._force, self._force_before, self._applied = zero, zero, zero
+        start = zero + simulation.origin
+        self._force = self._force_before = standing(simulation._rig, self._bounds, simulation.model.gravity, start)
+        self._applied = sent(self._force)
+        plants.stand(self._applied)
         self._error = zero
         self._instants = simulation._instants()
 
@@ -279,8 +289,7 @@ class _Run:
         self._net = [net, self._net[0]]
         if tick:  # until the first command arrives the brakes hold the stage
             stage.advance(tick, self._applied)
-        sent = self._force.astype(np.float32).astype(np.float64)
-        self._applied = np.where(of.schedule.lost[tick][:, None], self._applied, sent)
+        self._applied = np.where(of.schedule.lost[tick][:, None], self._applied, sent(self._force))
 
     def _times(self, tick: int) -> None:
         of, inputs, instants = self._of, self._inputs, self._instants
