@@ -5,6 +5,7 @@ finds is a parameter of the next. Each ends at rest and stays within the limits 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,6 +45,9 @@ class Known:
     mass: float
     gravity: float = 0.0
     coulomb: float = 0.0
+
+
+NOTHING: Mapping[str, Known] = {}
 
 
 @dataclass
@@ -186,15 +190,23 @@ class _Passes:
         return self._centre + np.array(self._positions)
 
 
-def rig_document(rig: RigConfig, name: str, plan: Plan, approach_s: float) -> tuple[dict[str, Any], float]:
+def rig_document(
+    rig: RigConfig, name: str, plan: Plan, approach_s: float, found: Mapping[str, Known] = NOTHING
+) -> tuple[dict[str, Any], float]:
     """The rig's document with this plan of one axis as its task and law, and the s of task time it lasts. The other
-    axes rest.
+    axes rest. found: of those that were identified before.
     """
     rows = [[k * ROW_S, float(position)] for k, position in enumerate(plan.positions)]
-    each = [plan.gains if axis == name else {} for axis in rig.axes]
+    each = [plan.gains if other == name else _resting(axis, found.get(other)) for other, axis in rig.axes.items()]
     document = rig.model_dump(mode="json")
     document["task"] = {"kind": "path", "axes": [name], "samples": rows, "approach_s": approach_s, "settle_s": 0.0,
                         "between": "blended"}  # fmt: skip
-    gains = {key: [one.get(key, Excitation.GAINS[key].default) for one in each] for key in sorted(plan.gains)}
+    gains = {key: [one.get(key, Excitation.GAINS[key].default) for one in each] for key in sorted(set().union(*each))}
     document["law"] = {"name": NAME, "gains": gains}
     return document, approach_s + len(rows) * ROW_S
+
+
+def _resting(axis: AxisConfig, found: Known | None) -> dict[str, float]:
+    """Gains of an axis that rests: a weight that nobody has measured yet needs the stiffer loop."""
+    stiffer = {"bandwidth_hz": HOLD_HZ} if axis.model.gravity else {}
+    return stiffer if found is None else stiffer | {"mass": found.mass, "gravity": found.gravity}

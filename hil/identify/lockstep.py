@@ -118,29 +118,37 @@ def identify(
     runner: Runner = in_virtual_time,
 ) -> dict[str, Findings]:
     """Run the experiments and fit them. What one is not told by those left out, the rig file's model says. One that
-    ends in a fault is the last; what it was to find is refused.
+    ends in a fault is the last; what it was to find is refused. Axes that carry a weight come first: while others are
+    excited, they are held by what was found of it.
     """
-    return {name: _identify_axis(rig, folder, name, told, only, runner) for name in names}
+    before: dict[str, Known] = {}
+    by_axis = {
+        name: _identify_axis(rig, folder, name, told, only, runner, before)
+        for name in sorted(names, key=lambda name: rig.axes[name].model.gravity == 0.0)
+    }
+    return {name: by_axis[name] for name in names}
 
 
 def _identify_axis(
-    rig: RigConfig, folder: Path, name: str, told: Told, only: Sequence[str], runner: Runner
+    rig: RigConfig, folder: Path, name: str, told: Told, only: Sequence[str], runner: Runner, before: dict[str, Known]
 ) -> Findings:
-    """One axis alone, so that what it does to itself ends nobody else's experiments."""
+    """One axis alone, so that what it does to itself ends nobody else's experiments. before: what was found of other
+    axes; this one is added.
+    """
     findings, axis = Findings(), rig.axes[name]
     known = Known(axis.model.mass, -axis.model.gravity, axis.model.coulomb)
     for experiment, make in EXPERIMENTS.items():
         if experiment not in only:
             continue
         plan = make(axis, known, APPROACH_S)
-        document, seconds = rig_document(rig, name, plan, APPROACH_S)
+        document, seconds = rig_document(rig, name, plan, APPROACH_S, before)
         told(f"{name}, {experiment}: {seconds:.0f} s")
         run, findings.evidence[experiment] = runner(Trial(name, experiment, plan, document, folder, seconds))
         if faults := run.summary()["faults"]:
             findings.ended = ", ".join(faults)
             findings.refused[experiment] = f"the run ended in {findings.ended}"
             break
-        known = _fitted(experiment, run, name, plan, axis, findings, known)
+        known = before[name] = _fitted(experiment, run, name, plan, axis, findings, known)
     return findings
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
+from tomlkit.items import InlineTable
 
 from hil.identify.estimate import Estimate
 from hil.rig.measured_table import MeasuredConfig
@@ -38,8 +39,10 @@ def rig_text(source: Path, axes: Mapping[str, Mapping[str, Estimate]], date: str
         before = {key: model.unwrap()[key] for key in values if key in model}
         for key, value in values.items():
             model[key] = value
-        table = tomlkit.table()
-        table.add(tomlkit.comment(f"before: {before}"))
+        inline = isinstance(tables[name], InlineTable)  # on one line, which has room for no comment
+        table: Any = tomlkit.inline_table() if inline else tomlkit.table()
+        if not inline:
+            table.add(tomlkit.comment(f"before: {before}"))
         for key, both in measured_values(found).items():
             table[key] = both
         table["date"], table["evidence"] = date, evidence

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.base.toml_file import toml_text
 from hil.analysis.loop_corners import check_corners
 from hil.analysis.stability import REALISED
 from hil.identify.estimate import Estimate
@@ -39,6 +40,18 @@ def test_what_is_written_is_a_rig_with_these_values(tmp_path: Path) -> None:
     assert (measured.mass, measured.gravity, measured.viscous) == ([1.23457, 0.001], [0.5, 0.01], None)
     assert (measured.date, measured.evidence) == ("2026-01-01", "run.mcap sha256 0123")
     assert text.startswith(source.read_text(encoding="utf-8")[:200])
+
+
+def test_a_rig_file_whose_axes_stand_on_one_line_is_written_too(tmp_path: Path) -> None:
+    source, made = tmp_path / "one-line.toml", tmp_path / "made.toml"
+    whole = load_rig(by_name("rigs", Path("microscope"))).model_dump(mode="json", exclude_none=True)
+    source.write_text(toml_text(whole), encoding="utf-8")
+    made.write_text(rig_text(source, {"x": FOUND, "z": FOUND}, "2026-01-01", "a"), encoding="utf-8")
+    after = load_rig(made)
+    for axis in (after.axes["x"], after.axes["z"]):
+        assert axis.model.mass == 1.23457
+        assert axis.measured is not None
+        assert axis.measured.mass == [1.23457, 0.001]
 
 
 def test_a_second_identification_is_written_over_the_first_and_its_changes_are_told(tmp_path: Path) -> None:
