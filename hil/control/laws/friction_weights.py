@@ -13,10 +13,11 @@ from hil.control.laws.breakaway import anywhere
 from hil.control.laws.motion_observer import Channel, Gains, MotionModel
 from hil.control.laws.presliding_bank import Bank, averaged, moved, weighed
 from hil.control.laws.weight_regression import Spread, Weights, diagonal, learnt
-from hil.control.number import Number, at_least, bounded, copy, zeros_like
+from hil.control.number import Number, at_least, bounded, copy, full_like, select, zeros_like
 
 WEIGHTS = 7
 RINGING = 2.0  # times what the throw makes the mode swing by: noise to the weights
+STEP_FADE = 0.8  # of a rigid axis: what a period leaves of that noise
 MOST_MASS = 0.5  # of the model's mass: what it may be off by
 
 Deviations = tuple[Number, Number]  # of a weight of friction, N; of the mass, kg
@@ -31,11 +32,14 @@ class FrictionWeights:
     ) -> None:  # fmt: skip
         """slopes: of the operators, 1/m. play: motion within it counts as noise, m. noise: of the force that they
         leave, N. prior, walk: standard deviations at the start, and gained in a period. shaken: times what a change of
-        the reference's acceleration makes the mode swing by counts as noise.
+        the reference's acceleration makes the mode swing by counts as noise. Of a rigid axis all counts that the step
+        of force moves it by in a period.
         """
         self._motion, self._slopes, self._play = motion, slopes, play
         self._most_mass = MOST_MASS * mass
-        self._shaken = shaken * motion.swing * mass  # m per m/s^2
+        rings, one = motion.swing > 0.0, full_like(mass, 1.0)
+        self._shaken = select(rings, shaken * motion.swing, motion.e_d * one) * mass  # m per m/s^2
+        self._fade = select(rings, motion.fade, STEP_FADE * one)
         noise = noise * motion.e_d
         self._noise = noise * noise
         self._prior, self._walk = _variances(prior), _variances(walk)
@@ -114,7 +118,7 @@ class FrictionWeights:
         )  # fmt: skip
         self._acting = self._coming
         ringing = self._ringing
-        self._ringing = ringing * motion.fade + self._shaken * abs(self._acting[6] - acting[6])
+        self._ringing = ringing * self._fade + self._shaken * abs(self._acting[6] - acting[6])
         if not anywhere(learn > 0.0):
             return
         noise = self._noise + ringing * ringing

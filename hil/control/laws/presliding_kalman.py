@@ -18,7 +18,10 @@ flexible mode inside the observer; a bias that is found.
   acceleration. At rest the axis hangs on its friction's stiffness, a mode of its own: unless it is known to be
   soft, the loop then takes gains that are stable on any.
 - A change of the reference's acceleration makes the mode swing, too. To the weights that is noise while it rings: from
-  fast moves they would else learn a friction that is too stiff.
+  fast moves they would else learn a friction that is too stiff. A rigid axis goes through all of its presliding in a
+  few periods of such a move, and what lag and micro-slip then leave is far more than the noise of slow motion. Weights
+  that took it for friction swung to ten times it, and the axis ended in SPEED or OSCILLATION. So the force's step is
+  noise there, too.
 - Where a weight hangs on the axis, its brake opens before the drive's force has come up over its lag, and throws it.
   That is a speed to the observer, and noise to the weights while the mode rings. Weights that take it for friction make
   it too stiff, and s, whose loop gain is that stiffness over the guide's, then rings at rest.
