@@ -4,7 +4,8 @@ Rules:
 - Each experiment is a run of its own: control process and sidecar are started for it, as an operator would start them.
   Gate, fault detectors, stop line and recorder are those of every other run; `hil estop NAME` stops it.
 - On a rig nothing moves before the operator has agreed to the experiment's way, speed, force and time.
-- An experiment that came to its end is kept, and is not run again for the same rig and plan.
+- An experiment that came to its end is kept, and is not run again for the same rig and plan. One that lost too many
+  ticks to be fitted is not kept.
 - Where this computer held up an emulated stage, the experiment is tried again. On a rig that is the operator's to
   decide.
 """
@@ -23,7 +24,7 @@ from drivers.base.named_file import write_text
 from drivers.base.runtime import runtime_dir
 from drivers.base.toml_file import toml_text
 from hil.identify.experiments import ROW_S
-from hil.identify.lockstep import AFTER_S, Trial
+from hil.identify.lockstep import AFTER_S, Trial, too_many_lost
 from hil.operate.demo_live import RECORDING, Demo, Scene, Signals, private_runtime
 from hil.rig.file import load_rig, rig_hash
 from hil.rig.schema import RigConfig
@@ -94,6 +95,8 @@ class LiveExperiments:
         run = load_run(begun) if (begun / RECORDING).exists() else None
         if run is None or (stage.troubles and not run.summary()["faults"]):
             raise LiveError(f"{where}: {stage.troubles[0] if stage.troubles else 'nothing was recorded'}")
+        if not stage.troubles and (missing := too_many_lost(run)):
+            raise TooBusyError(f"{where}: {missing}")
         if not stage.troubles:
             shutil.rmtree(kept, ignore_errors=True)
             begun = begun.replace(kept)

@@ -95,8 +95,8 @@ def signals(run: Run, axis: str) -> Signals:
     """
     at, index = run.axes.index(axis), run.columns["index"]
     every = np.arange(index[0], index[-1] + 1) if len(index) else index
-    if len(every) - len(index) > MOST_LOST * len(every):
-        raise Refused(f"{len(every) - len(index)} of {len(every)} ticks are missing; limit {MOST_LOST * 100:g} %")
+    if missing := too_many_lost(run):
+        raise Refused(missing)
     last = np.searchsorted(index, every, side="right") - 1
     whole = len(every) == len(index)
     position = run.columns["position"][:, at] if whole else np.interp(every, index, run.columns["position"][:, at])
@@ -107,6 +107,14 @@ def signals(run: Run, axis: str) -> Signals:
     force, position = run.columns["force"][last[:-1], at][during], position[1:][during]
     config = run.rig
     return Signals(force, position, seconds[during], config.period_ns * 1e-9, config.axes[axis].encoder_resolution)
+
+
+def too_many_lost(run: Run) -> str:
+    """In words, where more than MOST_LOST of the run's ticks are missing; else ""."""
+    index = run.columns["index"]
+    every = int(index[-1] - index[0]) + 1 if len(index) else 0
+    lost = every - len(index)
+    return f"{lost} of {every} ticks are missing; limit {MOST_LOST * 100:g} %" if lost > MOST_LOST * every else ""
 
 
 def identify(
@@ -167,6 +175,8 @@ def _push(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: 
     """Only what the next experiments need: about mass and Coulomb friction, and the force that holds."""
     part = of.cut(plan.gains["from_s"], plan.gains["until_s"])
     force, position = of.force[part], of.position[part]
+    if not position.size:
+        raise Refused("the run ended before the push began")
     if np.ptp(position) < plan.gains["excursion"]:
         raise Refused(f"the axis moved {np.ptp(position):.2g} at {np.abs(force).max():.3g} N: is it free to move?")
     held = float(of.force[of.cut(plan.gains["from_s"] - 0.2, plan.gains["from_s"])].mean())

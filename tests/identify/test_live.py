@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from hil.identify import live
 from hil.identify.estimate import Refused
 from hil.identify.experiments import EXPERIMENTS, Known, rig_document
 from hil.identify.live import LiveError, LiveExperiments, live_document, live_runtime
 from hil.identify.lockstep import APPROACH_S, Trial, identify, signals
-from hil.operate.demo_live import Signals
-from hil.runs.api import simulate
+from hil.operate.demo_live import Scene, Signals
+from hil.runs.api import Run, load_run, simulate
 from hil.runs.rigs import Rig
 from tests.identify import rigs
 
@@ -63,6 +64,38 @@ def test_an_experiment_that_was_recorded_is_not_run_again_for_the_same_rig_and_p
     with pytest.raises(LiveError):
         experiments(tmp_path, asked)(other)
     assert len(asked) == 1
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.usefixtures("no_signals")
+def test_an_experiment_that_lost_too_many_ticks_is_tried_again_and_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts: list[Path] = []
+
+    class Holed:
+        """A demo whose recording misses every other tick."""
+
+        busy, troubles = "", list[str]()
+
+        def __init__(self, scene: Scene, *_: object, **__: object) -> None:
+            self._scene = scene
+
+        def run(self, _: float) -> None:
+            starts.append(self._scene.out)
+            simulate(Rig.build(self._scene.rig.model_dump(mode="json")), 0.05, record=self._scene.out / "run.mcap")
+
+    def holed(folder: Path) -> Run:
+        run = load_run(folder)
+        run.columns = {name: column[::2] for name, column in run.columns.items()}
+        return run
+
+    monkeypatch.setattr(live, "Demo", Holed)
+    monkeypatch.setattr(live, "load_run", holed)
+    with pytest.raises(LiveError, match=r"x, push: \d+ of \d+ ticks are missing; limit 0\.5 %"):
+        experiments(tmp_path, [])(a_push("local", tmp_path))
+    assert len(starts) == live.TRIES
+    assert [path.name for path in tmp_path.iterdir()] == ["x-push.part"]
 
 
 def test_a_few_lost_ticks_are_filled_in_and_many_are_refused() -> None:
