@@ -1,6 +1,6 @@
 """Goal moves of drawn stages at the rig's own limits: `python -m tests.benchmarks.goal_moves --seed 77 --stages 12`.
 
-Stages are drawn as `hil evidence` draws them. Each axis in turn goes a long way, nearly back, and home, with the
+Stages are drawn as `hil evidence` draws them. Each axis in turn goes far, nearly back, and home, with the
 greatest speed, acceleration and jerk that goals may have. Prints the largest following error of each axis, and what
 ended a stage.
 """
