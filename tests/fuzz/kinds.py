@@ -23,7 +23,7 @@ from hil.rig.file import load_rig
 from hil.rig.schema import RigError
 from hil.rig.task_file import TaskFileError, read_task_file
 from hil.runs.trace_file import TraceError, read_trace
-from hil.telemetry.recorder import RecordingError
+from hil.telemetry.recording import RecordingError
 from sim_plant.scenario.language import ScenarioError, load_scenario
 from tests.fuzz.damage import damaged
 from tests.support.paths import RIGS, ROOT

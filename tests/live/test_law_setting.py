@@ -12,7 +12,8 @@ from hil.cycle.tick import CommandKind
 from hil.live.task_loading import law_document, rig_with_law
 from hil.rig.file import load_rig
 from hil.rig.schema import LawConfig, RigError
-from hil.telemetry.recorder import LockstepRecorder, RecordingError
+from hil.telemetry.recorder import LockstepRecorder
+from hil.telemetry.recording import RecordingError
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import replay_run
 from tests.live.test_task_loading import PAPER, Operator, ready, until

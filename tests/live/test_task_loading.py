@@ -11,7 +11,8 @@ from hil.cycle.tick import CommandKind
 from hil.live.task_loading import rig_with_task
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError, TaskConfig
-from hil.telemetry.recorder import LockstepRecorder, RecordingError
+from hil.telemetry.recorder import LockstepRecorder
+from hil.telemetry.recording import RecordingError
 from hil.virtual.lockstep import LockstepRun
 from hil.virtual.replay import exact_motion, replay_run
 from tests.support.paths import RIGS

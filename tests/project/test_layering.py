@@ -185,7 +185,7 @@ def test_the_version_of_a_package_is_looked_up_by_who_asks_for_it() -> None:
 
 RUN_SHORTLY = """
 import sys
-sys.argv[1:] = ["run", "deploy/rigs/RIG.toml", "--ticks", "20", "--set", "timing.realtime=false",
+sys.argv[1:] = ["run", "deploy/rigs/paper.toml", "--ticks", "20", "--set", "timing.realtime=false",
     "--set", "timing.lock_memory=false", "--set", "timing.dma_latency=false", "--set", "bus.interface=local",
     "--set", "timing.allow_degraded=true"]
 from hil.__main__ import main
@@ -201,7 +201,7 @@ def test_the_control_process_comes_without_them_too_from_its_start_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
-    names = loaded(RUN_SHORTLY.replace("RIG", "paper"))
+    names = loaded(RUN_SHORTLY)
     assert "hil.live.loop" in names
     assert unwanted(names, (*LUGGAGE, *NOT_THEIRS)) == []
     # It was 641 once, 543 before homing and kept learning. numpy, and pydantic, which reads the rig file, are 307 of
@@ -215,7 +215,7 @@ def test_a_resonance_that_the_rig_states_adds_no_library_to_the_control_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HIL_RUNTIME_DIR", str(tmp_path))
-    names = loaded(RUN_SHORTLY.replace("RIG", "microscope"))
+    names = loaded(RUN_SHORTLY.replace("paper.toml", "microscope.toml"))
     assert "hil.analysis.flexible_plant" in names
     assert unwanted(names, (*LUGGAGE, *NOT_THEIRS)) == []
 

@@ -26,7 +26,7 @@ AFTER_S: Final = 4.0  # and how long the run goes on
 SOUND_S: Final = 12.0
 WITHIN_S: Final = 2.5  # a fault that shows in motion alone is drawn where motion is about to come
 CREEPING: Final = 0.05  # of the axis' top speed
-ACTIVE_S: Final = 0.02  # when the task begins
+BEGUN_S: Final = 0.06  # until every task has begun
 
 
 class Case(NamedTuple):
@@ -122,10 +122,11 @@ def draw_fault(draw: random.Random, kind: str = "") -> Case:
     kind = kind or draw.choice(sorted(KINDS))
     while True:
         rig = draw.choice(FAULT_RIGS)
-        config, speeds = _planned(rig)
+        seed = _seed(draw)
+        config, begins_s, speeds = _planned(rig, seed)
         number = draw.randrange(len(config.axes))
         at_s = round(draw.uniform(*BEGINS_S), 4)
-        shows_s = _shows_s(speeds[number], at_s) if KINDS[kind].moving else at_s
+        shows_s = _shows_s(speeds[number], begins_s, at_s) if KINDS[kind].moving else at_s
         if shows_s <= at_s + WITHIN_S:
             break
     name, of = config.axis_names[number], list(config.axes.values())[number]
@@ -133,7 +134,7 @@ def draw_fault(draw: random.Random, kind: str = "") -> Case:
     size, _, besides = KINDS[kind]
     value = None if size is None else size(draw, axis)
     more = (besides(draw, axis),) if besides else ()
-    return Case(rig, _seed(draw), round(shows_s + AFTER_S, 3), kind, name, at_s, shows_s, value, more)
+    return Case(rig, seed, round(shows_s + AFTER_S, 3), kind, name, at_s, shows_s, value, more)
 
 
 def _seed(draw: random.Random) -> int:
@@ -141,29 +142,30 @@ def _seed(draw: random.Random) -> int:
 
 
 @cache
-def _planned(rig: str) -> tuple[RigConfig, Any]:
-    """The rig, and the speeds of its task at each ms from the task's start, (n_axes, n)."""
-    config = load_rig(RIGS / f"{rig}.toml")
+def _planned(rig: str, seed: int) -> tuple[RigConfig, float, Any]:
+    """The rig; when its task begins, s; the task's speeds at each ms from there, (n_axes, n)."""
+    config = Case(rig, seed, 0.0).config
     names = config.axis_names
-    task = make_trajectory(config.task, names, _stands(config), config.period_ns, config.counts)
+    begins_s, stands = _begins(config)
+    task = make_trajectory(config.task, names, stands, config.period_ns, config.counts)
     times = np.arange(0, round((BEGINS_S[1] + AFTER_S) * 1e9), 1_000_000)
-    return config, np.abs([task.sample_axis(axis, times)[1] for axis in range(len(names))])
+    return config, begins_s, np.abs([task.sample_axis(axis, times)[1] for axis in range(len(names))])
 
 
-def _stands(config: RigConfig) -> NDArray[np.float64]:
-    """Where the axes stand when the task begins, (n_axes,), m (rad): a few counts from zero, and an approach is due."""
-    found: list[NDArray[np.float64]] = []
+def _begins(config: RigConfig) -> tuple[float, NDArray[np.float64]]:
+    """When the task begins, s; where the axes stand then, (n_axes,), m (rad): beside home by a count, they approach."""
+    found: list[tuple[float, NDArray[np.float64]]] = []
 
-    def observe(_tick: Tick, _frames: object, result: CycleResult) -> None:
+    def observe(tick: Tick, _frames: object, result: CycleResult) -> None:
         if result.record["task_ns"] >= 0:
-            found.append(result.record["position"][: len(config.axes)].copy())
+            found.append((tick.index * config.period_ns * 1e-9, result.record["setpoint_position"][: len(config.axes)].copy()))
 
-    simulate(config, RIGS, 2.0 * ACTIVE_S, observer=observe)
+    simulate(config, RIGS, BEGUN_S, observer=observe)
     return found[0]
 
 
-def _shows_s(speed: Any, at_s: float) -> float:
-    seconds = ACTIVE_S + np.arange(len(speed)) * 1e-3
+def _shows_s(speed: Any, begins_s: float, at_s: float) -> float:
+    seconds = begins_s + np.arange(len(speed)) * 1e-3
     moving = np.flatnonzero((seconds >= at_s) & (speed > CREEPING * speed.max()))
     return round(float(seconds[moving[0]]), 3) if len(moving) else float("inf")
 

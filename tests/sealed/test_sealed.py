@@ -50,7 +50,7 @@ def test_silence_a_wrong_axis_a_wrong_cause_and_an_early_alarm_are_no_right_answ
 
 @pytest.mark.long
 def test_a_fault_that_shows_in_motion_is_drawn_where_the_axis_moves() -> None:
-    """The microscope's stage never stands exactly at zero, so that two seconds of approach come before its cells."""
+    """Where the stage stands a count beside home, two seconds of approach come before its cells."""
     case = draw_fault(random.Random(1), "axis_jam")
     assert (case.rig, case.axis) == ("microscope", "x")
     speeds = []
