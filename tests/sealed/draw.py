@@ -158,7 +158,9 @@ def _begins(config: RigConfig) -> tuple[float, NDArray[np.float64]]:
 
     def observe(tick: Tick, _frames: object, result: CycleResult) -> None:
         if result.record["task_ns"] >= 0:
-            found.append((tick.index * config.period_ns * 1e-9, result.record["setpoint_position"][: len(config.axes)].copy()))
+            found.append(
+                (tick.index * config.period_ns * 1e-9, result.record["setpoint_position"][: len(config.axes)].copy())
+            )
 
     simulate(config, RIGS, BEGUN_S, observer=observe)
     return found[0]
