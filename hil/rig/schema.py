@@ -138,6 +138,7 @@ class RigConfig(Table):
             *_segment_problems(self),
             *_task_problems(self),
             *_watchdog_problems(self),
+            *_opening_problems(self),
             *_sensor_problems(self),
             *clashes(self.outputs),
             *_motion_problems(self),
@@ -287,4 +288,15 @@ def _watchdog_problems(rig: RigConfig) -> list[str]:
     return [
         f"drives.watchdog_s = {watchdog_s:g}: it must be longer than the {period_s:g} s from one command to the next "
         f"(rate_hz = {rig.rate_hz:g})"
+    ]
+
+
+def _opening_problems(rig: RigConfig) -> list[str]:
+    """A brake would open before its axis' weight stands, and drop it by the rest."""
+    opening_s = rig.drives.brake_opening_s
+    return [
+        f"drives.brake_opening_s = {opening_s:g}: by then axes.{name}.limits.force_rate = {axis.limits.force_rate:g} "
+        f"lets {axis.limits.force_rate * opening_s:g} N stand, and the axis weighs {abs(axis.model.gravity):g} N"
+        for name, axis in rig.axes.items()
+        if rig.opening_ticks and abs(axis.model.gravity) > axis.limits.force_rate * opening_s
     ]

@@ -22,6 +22,11 @@ PAIRS = {
         "paper", ["rate_hz=100"], "drives.watchdog_s=0.0100001", "drives.watchdog_s=0.01",
         "drives.watchdog_s = 0.01: it must be longer than the 0.01 s from one command to the next (rate_hz = 100)",
     ),
+    "a weight that stands before its brake opens": (
+        "microscope", [], "axes.z.limits.force_rate=122.5001", "axes.z.limits.force_rate=122.0",
+        "drives.brake_opening_s = 0.02: by then axes.z.limits.force_rate = 122 lets 2.44 N stand, and the axis weighs "
+        "2.45 N",
+    ),
     "the watchdog that drives are told": (
         "moteus", [], "rate_hz=1000", "bus.moteus.watchdog_s=0.02",
         "bus.moteus.watchdog_s = 0.02: the drives are told another than drives.watchdog_s says",
