@@ -10,7 +10,7 @@ from sim_plant.physics.native_axis import NativeAxis
 from sim_plant.physics.single_stage import real_pieces
 from tests.support.paths import RIGS
 
-TICKS = 3000
+TICKS = 14_400  # the whole plan
 MOST_STEPS = 18.0  # a tick of four axes, on average
 
 
