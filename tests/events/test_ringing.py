@@ -16,7 +16,10 @@ PERIOD, COUNT = 1e-3, 5e-9
 TICKS = np.arange(LONGEST + 1)
 FLAT = np.zeros(len(TICKS))
 STAGE = f"plant.stage={ROOT}/tests/support/two_resonances.py:TwoResonances"
-TASK = ["task.kind=circle", "task.axes=['x','y']", "task.radius=0.005", "task.approach_s=0.3", "task.settle_s=0.1"]
+TASK = [
+    "task.kind=circle", "task.axes=['x','y']", "task.radius=0.005", "task.approach_s=0.3", "task.settle_s=0.1",
+    "drives.brake_opening_s=0",  # Z only stands
+]  # fmt: skip
 
 
 def told(error: NDArray[np.float64], force: NDArray[np.float64], setpoint: NDArray[np.float64] = FLAT) -> float | None:

@@ -186,6 +186,7 @@ def test_vesc_lets_go_after_the_timeout_of_its_configuration(timeout_ms: int, de
 def test_a_vesc_without_a_timeout_never_lets_go() -> None:
     drive, servo = vesc(timeout_msec=0)
     drive.on_frame(Frame(EXTENDED | 0x107, struct.pack(">i", 20_000), 0, MS))
+    assert servo.force > 0.0
     assert servo.deadline_ns >= NEVER_NS
 
 

@@ -114,6 +114,7 @@ def test_a_brake_that_takes_time_opens_on_the_force_that_stands_by_then() -> Non
 def test_a_drive_that_lets_go_while_its_brake_opens_keeps_it_closed(how: str) -> None:
     drive = make_drive(has_brake=True, opening_ns=3 * MS)
     command(drive, 1)
+    assert drive.opens_ns == 4 * MS
     if how == "disabled":
         command(drive, 2, enable=False)
     elif how == "trip":
