@@ -223,7 +223,8 @@ class EmulatedStage:
             for drive in self.drives:
                 if drive.deadline_ns <= self.now_ns:
                     drive.trip(self.now_ns)
-                drive.open(self.now_ns)
+                if drive.opens_ns <= self.now_ns:
+                    drive.open(self.now_ns)
             self.outputs.expire(self.now_ns)
             while self._agenda and self._agenda[0][0] <= self.now_ns:
                 heappop(self._agenda)[2]()

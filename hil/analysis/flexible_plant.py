@@ -20,7 +20,8 @@ def exponential(matrix: Array) -> Array:
     """e^matrix, of (n, n): Taylor's series of a 2^k th with a norm below 0.5, squared k times.
 
     Source: Moler and Van Loan, SIAM Review 45(1), 2003, method 3. Here, as scipy has it too, but every control process
-    calculates one before it starts, and would hold 117 MB of scipy locked in memory for that.
+    calculates one before it starts, and would hold 117 MB of scipy locked in memory for that. The observer's own
+    (motion_observer.py) is for lists of floats or arrays in compiled code, and too coarse for poles this near to 1.
     """
     squarings = max(0, 1 + int(np.frexp(np.abs(matrix).sum(axis=1).max())[1]))
     small = matrix * 0.5**squarings
