@@ -38,7 +38,8 @@ class CodeRefusedError(ValueError):
 
 class Kind(NamedTuple):
     """A kind of plug-in. noun, plural: in words. table, key: of the rig file, where its name stands. group: of entry
-    points. ours: our own by name, each `package.module:Name`. methods: what a class of users must have.
+    points. ours: our own by name, each `package.module:Name`. methods: what a class of users must have. unlisted: ours
+    that are named in full, as no list shows them.
     """
 
     noun: str
@@ -48,6 +49,7 @@ class Kind(NamedTuple):
     group: str
     ours: Mapping[str, str]
     methods: tuple[str, ...]
+    unlisted: Collection[str] = ()
 
     @property
     def path(self) -> str:
@@ -56,6 +58,8 @@ class Kind(NamedTuple):
 
     def own(self, name: str) -> str:
         """`package.module:Name` of one of ours; empty for others. Ours that end in :FILE stand for every file."""
+        if name in self.unlisted:
+            return name
         before, colon, _ = name.partition(":")
         return self.ours.get(name, "") or (self.ours.get(f"{before}:FILE", "") if colon else "")
 

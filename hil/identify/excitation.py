@@ -1,7 +1,7 @@
 """The law of an experiment: it holds the axis loosely on its reference and adds a force of the task's time.
 
-Named in a rig as a law of users is, `hil.identify.excitation:Excitation`; gate, fault detectors, recorder and replay
-are those of every other run.
+Named in a rig in full, as a law of users is (hil/rig/law_names.py). Gate, fault detectors, recorder and replay are
+those of every other run.
 """
 
 import math
@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 from hil.control.gain import Gain
 from hil.control.laws.base import Law, LawInputs, Model
 
-NAME = "hil.identify.excitation:Excitation"
 NONE, GROWING, TRIANGLES, MULTISINE = 0, 1, 2, 3  # shapes of the force
 GROWTH = 1.25  # from one triangle to the next
 TRIANGLES_AT_SIZE = 3  # after growing
@@ -70,8 +69,8 @@ class Excitation(Law):
     """PD on the reference with an integrator until the force begins, Coulomb friction along the reference, and a force.
 
     The force of each shape depends on task time alone, except for growing triangles. These stop growing, and end after
-    three more, once a cycle has moved the axis by `excursion`, and end at once beyond four times that. Each is centred
-    by the drift of the one before it.
+    three more, once a cycle has moved the axis by `excursion`. A half of one that has moved the axis by twice that ends
+    there, and all end beyond four times that. Each is centred by the drift of the one before it.
     """
 
     GAINS: ClassVar[dict[str, Gain]] = {
@@ -110,6 +109,7 @@ class Excitation(Law):
         self._low = self._high = self._begun = position
         self._centre = self._turned = 0.0
         self._over = False
+        self._half, self._half_from, self._half_over = 0, position, False
 
     def force(self, inputs: LawInputs) -> Any:
         """Of the loop, and the experiment's own."""
@@ -168,7 +168,14 @@ class Excitation(Law):
             self._low = self._high = self._begun = position
         ended = self._grown >= 0 and self._cycle - self._grown >= TRIANGLES_AT_SIZE
         self._over = self._over or ended or self._high - self._low > 8.0 * self._g["excursion"]
-        return self._centre + (0.0 if self._over else self._size * triangle(cycles))
+        return self._centre + (0.0 if self._over or self._slid(cycles, position) else self._size * triangle(cycles))
+
+    def _slid(self, cycles: float, position: float) -> bool:
+        """Whether this half of a triangle has moved the axis far enough."""
+        if (half := math.floor(2.0 * cycles)) > self._half:
+            self._half, self._half_from, self._half_over = half, position, False
+        self._half_over = self._half_over or abs(position - self._half_from) > 2.0 * self._g["excursion"]
+        return self._half_over
 
     def _drift(self, position: float) -> float:
         """Of the cycle that ends, over its way, -1 to 1: what holds the axis may be anywhere within its friction."""

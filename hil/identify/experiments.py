@@ -13,7 +13,8 @@ import numpy as np
 
 from hil.cycle.limits import oscillation_limit
 from hil.identify.estimate import Array
-from hil.identify.excitation import GROWING, MULTISINE, NAME, PERIOD_S, TRIANGLES, Excitation, multisine_way
+from hil.identify.excitation import GROWING, MULTISINE, PERIOD_S, TRIANGLES, Excitation, multisine_way
+from hil.rig.law_names import EXPERIMENT
 from hil.rig.schema import AxisConfig, RigConfig
 
 ROW_S = 0.01  # of a path
@@ -28,7 +29,7 @@ STRETCH_SPEEDS = 6
 FIRST_PUSH = 0.002  # of limits.force
 EXCURSION = {"linear": 20e-6, "rotary": 1e-4}  # m, rad: of a push
 PUSH_HZ, PUSH_S = 4.0, 9.0
-HOLD_HZ = 20.0  # of the loop until a weight is found: gravity may be 30 % wrong
+HOLD_HZ = 25.0  # of the loop until a weight is found: gravity may be 30 % wrong
 LOOP_HZ, LOOP_CYCLES = 2.5, 24
 LOOPS = (1.3, 0.1)  # of Coulomb friction, first and last: the first leaves the bristle in a known state
 LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine, at most
@@ -202,7 +203,7 @@ def rig_document(
     document["task"] = {"kind": "path", "axes": [name], "samples": rows, "approach_s": approach_s, "settle_s": 0.0,
                         "between": "blended"}  # fmt: skip
     gains = {key: [one.get(key, Excitation.GAINS[key].default) for one in each] for key in sorted(set().union(*each))}
-    document["law"] = {"name": NAME, "gains": gains}
+    document["law"] = {"name": EXPERIMENT, "gains": gains}
     return document, approach_s + len(rows) * ROW_S
 
 

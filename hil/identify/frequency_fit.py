@@ -29,11 +29,13 @@ GRID, LOADS = 60, (0.1, 0.3, 0.6)
 
 
 class Pass(NamedTuple):
-    """force (N) and position (m) of one pass at constant speed, (n,). direction: of the motion, sign: of the multisine,
-    1 or -1. start: tick of its first value, counted where the multisine's phase is 0.
+    """force (N) and position (m) of one pass at constant speed, (n,); late: by how many s after a position's instant
+    its force began. direction: of the motion, sign: of the multisine, 1 or -1. start: tick of its first value, counted
+    where the multisine's phase is 0.
     """
 
     force: Array
+    late: Array
     position: Array
     direction: int
     sign: int
@@ -74,12 +76,15 @@ def response_of(passes: Sequence[Pass], period: float, lines: Sequence[int], bas
     window = np.hanning(n + 1)[:n]
     line = np.linspace(-1.0, 1.0, n)
 
-    def spectrum(values: Array, start: int) -> Complex:
-        level = values - np.polyval(np.polyfit(line, values, 1), line)
-        turned: Complex = np.fft.rfft(level * window)[at] * np.exp(-2j * np.pi * at / n * start)
-        return turned
+    def windowed(values: Array) -> Array:
+        level: Array = (values - np.polyval(np.polyfit(line, values, 1), line)) * window
+        return level
 
-    spectra = [(p, p.sign * spectrum(p.force, p.start), p.sign * spectrum(p.position, p.start)) for p in passes]
+    spectra = []
+    for p in passes:
+        turned = p.sign * np.exp(-2j * np.pi * at / n * p.start)
+        force = _of_steps(windowed(p.force), p.late / period, 2.0 * np.pi * at / n)
+        spectra.append((p, turned * force, turned * np.fft.rfft(windowed(p.position))[at]))
     u, y = [], []
     for direction in (1, -1):
         positive = [(a, b) for p, a, b in spectra if p.direction == direction and p.sign > 0]
@@ -98,6 +103,16 @@ def response_of(passes: Sequence[Pass], period: float, lines: Sequence[int], bas
     rest = position - response * force  # noise of a pair, seen at the output
     deviation = np.sqrt((np.abs(rest) ** 2).sum(axis=0) / (m - 1) / m) / np.abs(mean)
     return Response(np.array(lines) / (base * period), response, deviation, coherence, response + rest / mean)
+
+
+def _of_steps(values: Array, late: Array, angles: Array) -> Complex:
+    """Spectrum at the angles (rad a period) of a force held from tick to tick, each step `late` periods after its tick.
+    Without delays it is the discrete Fourier transform of the values.
+    """
+    when = np.arange(values.size + 1) + np.append(late, 0.0)
+    steps = np.diff(values, prepend=0.0, append=0.0)
+    spectrum: Complex = np.exp(-1j * np.outer(angles, when)) @ steps / (1.0 - np.exp(-1j * angles))
+    return spectrum
 
 
 def _dynamics(q: Array, flexible: bool) -> AxisDynamics:

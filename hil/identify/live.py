@@ -24,7 +24,8 @@ from drivers.base.named_file import write_text
 from drivers.base.runtime import runtime_dir
 from drivers.base.toml_file import toml_text
 from hil.identify.experiments import ROW_S
-from hil.identify.lockstep import AFTER_S, Trial, too_many_lost
+from hil.identify.lockstep import AFTER_S, Trial
+from hil.identify.signals import too_many_lost
 from hil.operate.demo_live import RECORDING, Demo, Scene, Signals, private_runtime
 from hil.rig.file import load_rig, rig_hash
 from hil.rig.schema import RigConfig

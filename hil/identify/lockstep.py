@@ -16,6 +16,7 @@ from hil.identify.excitation import PERIOD_S, multisine_lines
 from hil.identify.experiments import EXPERIMENTS, PASS_PERIODS, SETTLE_S, Known, Plan, rig_document
 from hil.identify.force_balance import Record, balance
 from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
+from hil.identify.signals import Signals, signals
 from hil.identify.travel_fit import SpeedPass, TravelCurves, travel_fit
 from hil.rig.schema import AxisConfig, RigConfig
 from hil.runs.api import Run, simulate
@@ -26,8 +27,6 @@ BEFORE_S, AFTER_S = 2.0, 0.5  # of a run, around its task: drives enable, the ax
 SPAN_SETTLE_S = 0.15  # left out of a pass at constant speed
 ROUGH_LAG = 2e-4  # s, until the frequency response has told it
 PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
-
-MOST_LOST = 5e-3  # of a live run's ticks
 
 Told = Callable[[str], None]
 
@@ -71,52 +70,6 @@ class Findings:
     loops: tuple[Array, Array] | None = None
 
 
-@dataclass(frozen=True)
-class Signals:
-    """Of one axis of a run: force held from each sample on, the position at that sample, task time at it; (n,)."""
-
-    force: Array
-    position: Array
-    seconds: Array
-    period: float
-    count: float
-
-    def cut(self, begin: float, end: float) -> slice:
-        """Of that task time."""
-        first, last = np.searchsorted(self.seconds, [begin - 1e-9, end - 1e-9])
-        return slice(int(first), int(last))
-
-
-def signals(run: Run, axis: str) -> Signals:
-    """A command of one tick acts from the sample that the next tick brings; only ticks of the task count.
-
-    The few ticks that a live run lost are filled in: the drive kept its force, and positions lie between their
-    neighbours. Raises Refused where more than MOST_LOST of them are missing.
-    """
-    at, index = run.axes.index(axis), run.columns["index"]
-    every = np.arange(index[0], index[-1] + 1) if len(index) else index
-    if missing := too_many_lost(run):
-        raise Refused(missing)
-    last = np.searchsorted(index, every, side="right") - 1
-    whole = len(every) == len(index)
-    position = run.columns["position"][:, at] if whole else np.interp(every, index, run.columns["position"][:, at])
-    task_ns = run.columns["task_ns"][last]
-    task_ns = np.where(task_ns >= 0, task_ns + (every - index[last]) * run.rig.period_ns, task_ns)
-    seconds = task_ns[:-1] * 1e-9
-    during = seconds >= 0.0
-    force, position = run.columns["force"][last[:-1], at][during], position[1:][during]
-    config = run.rig
-    return Signals(force, position, seconds[during], config.period_ns * 1e-9, config.axes[axis].encoder_resolution)
-
-
-def too_many_lost(run: Run) -> str:
-    """In words, where more than MOST_LOST of the run's ticks are missing; else ""."""
-    index = run.columns["index"]
-    every = int(index[-1] - index[0]) + 1 if len(index) else 0
-    lost = every - len(index)
-    return f"{lost} of {every} ticks are missing; limit {MOST_LOST * 100:g} %" if lost > MOST_LOST * every else ""
-
-
 def identify(
     rig: RigConfig,
     folder: Path,
@@ -156,16 +109,16 @@ def _identify_axis(
             findings.ended = ", ".join(faults)
             findings.refused[experiment] = f"the run ended in {findings.ended}"
             break
-        known = before[name] = _fitted(experiment, run, name, plan, axis, findings, known)
+        known = before[name] = _fitted(experiment, run, name, folder, plan, axis, findings, known)
     return findings
 
 
 def _fitted(
-    experiment: str, run: Run, name: str, plan: Plan, axis: AxisConfig, findings: Findings, known: Known
+    experiment: str, run: Run, name: str, folder: Path, plan: Plan, axis: AxisConfig, findings: Findings, known: Known
 ) -> Known:
     """Add what the experiment tells; what the next ones are to go by."""
     try:
-        return FITS[experiment](signals(run, name), plan, axis, findings, known)
+        return FITS[experiment](signals(run, name, folder), plan, axis, findings, known)
     except Refused as refused:
         findings.refused[experiment] = refused.reason
         return known
@@ -202,7 +155,8 @@ def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, kn
         part = slice(first, first + PASS_PERIODS * base)
         start = round(float(of.seconds[first]) / of.period)
         sign = -1 if number // 2 % 2 else 1
-        passes.append(Pass(of.force[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
+        if not of.stalled[part].any():
+            passes.append(Pass(of.step[part], of.late[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
     findings.response = response_of(passes, of.period, multisine_lines(), base)
     fit = fit_axis(findings.response, of.period, known.mass)
     findings.dynamics = fit.dynamics

@@ -16,4 +16,5 @@ LAWS: dict[str, str] = {
     "structured-kalman": "hil.control.laws.structured_kalman:StructuredKalman",
     "presliding-kalman": "hil.control.laws.presliding_kalman:PreslidingKalman",
 }
-KIND = Kind("law", "laws", "law", "name", "hil.laws", LAWS, ("reset", "force"))
+EXPERIMENT = "hil.identify.excitation:Excitation"  # what `hil identify` runs
+KIND = Kind("law", "laws", "law", "name", "hil.laws", LAWS, ("reset", "force"), (EXPERIMENT,))

@@ -41,7 +41,7 @@ def passes(mode: bool, noise: float = 0.0, size: float = 0.03) -> list[Pass]:
                     w -= pull / load * step
                     tool += w * step
         measured = np.array(positions[2 * BASE :]) + random.normal(0.0, noise + 1e-12, 2 * BASE)
-        out.append(Pass(np.array(forces[2 * BASE :]), measured, direction, sign, 0))
+        out.append(Pass(np.array(forces[2 * BASE :]), np.zeros(2 * BASE), measured, direction, sign, 0))
     return out
 
 

@@ -4,15 +4,13 @@ import io
 import signal
 from pathlib import Path
 
-import numpy as np
 import pytest
 from rich.console import Console
 
 from hil.identify import live
-from hil.identify.estimate import Refused
 from hil.identify.experiments import EXPERIMENTS, Known, rig_document
 from hil.identify.live import LiveError, LiveExperiments, live_document, live_runtime
-from hil.identify.lockstep import APPROACH_S, Trial, identify, signals
+from hil.identify.lockstep import APPROACH_S, Trial, identify
 from hil.operate.demo_live import Scene, Signals
 from hil.runs.api import Run, load_run, simulate
 from hil.runs.rigs import Rig
@@ -96,21 +94,6 @@ def test_an_experiment_that_lost_too_many_ticks_is_tried_again_and_not_kept(
         experiments(tmp_path, [])(a_push("local", tmp_path))
     assert len(starts) == live.TRIES
     assert [path.name for path in tmp_path.iterdir()] == ["x-push.part"]
-
-
-def test_a_few_lost_ticks_are_filled_in_and_many_are_refused() -> None:
-    task = {"kind": "point_to_point", "axes": ["x"], "target": [2e-3], "move_s": 0.15, "dwell_s": 0.1}
-    run = simulate(rigs.one_axis(task=task, law={"name": "pid"}), 2.0)
-    whole = signals(run, "x")
-    kept = np.ones(len(run.time), bool)
-    kept[[700, 1200, 1201]] = False
-    run.columns = {name: column[kept] for name, column in run.columns.items()}
-    filled = signals(run, "x")
-    assert np.allclose(filled.seconds, whole.seconds, atol=1e-6)
-    assert np.abs(filled.position - whole.position).max() < 1e-5
-    run.columns = {name: column[::50] for name, column in run.columns.items()}
-    with pytest.raises(Refused, match=r"ticks are missing; limit 0\.5 %"):
-        signals(run, "x")
 
 
 @pytest.mark.live
