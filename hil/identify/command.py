@@ -21,7 +21,7 @@ from hil.rig.schema import RigConfig, RigError
 from hil.runs.api import load_run
 
 EXIT_REFUSED = 4  # something was measured, and something was refused
-NOT_SEEN = ("mode", "friction_variation", "cogging_amplitude")  # an axis may have none
+NOT_SEEN = ("mode", "friction_variation", "cogging_amplitude", "cable_stiffness")  # an axis may have none
 
 
 def identify(

@@ -13,40 +13,51 @@ from hil.control.laws.base import Law, LawInputs, Model
 NONE, GROWING, TRIANGLES, MULTISINE = 0, 1, 2, 3  # shapes of the force
 GROWTH = 1.25  # from one triangle to the next
 TRIANGLES_AT_SIZE = 3  # after growing
+BEYOND = 1.1  # of the force at which the axis gave way, those
 LEAST_WAY = 0.02  # of the excursion, that a cycle must have gone to be centred by
 PERIOD_S = 0.5  # of the multisine
-FIRST_LINE, LAST_LINE, LINES = 2, 199, 90  # multiples of 1 / PERIOD_S: 4 to 398 Hz
+FULL_PERIOD_S = 1e-3  # of ticks, for all lines
+FIRST_LINE, LAST_LINE, LINES = 2, 199, 90  # multiples of 1 / PERIOD_S: 4 to 398 Hz, at 1 kHz or more
+LAST_SHARE = 0.2  # of a slower rate, the last line: such drives sample in their own time
 BANDWIDTH_HZ, DAMPING = 10.0, 0.8  # of the loop
 FILTER_HZ, FILTER_DAMPING = 70.0, 0.7  # second order, behind the loop: a resonance that nobody knows yet must not ring
 FULL_FROM_HZ = 30.0  # lines below are smaller in proportion, for the axis gives way more
 NS = 1e-9
 
 
-def multisine_lines() -> list[int]:
-    """Multiples of 1 / PERIOD_S that the multisine has, evenly spread; LINES of them."""
-    step = (LAST_LINE - FIRST_LINE) / (LINES - 1)
-    return sorted({round(FIRST_LINE + step * k) for k in range(LINES)})
+def multisine_lines(period: float) -> list[int]:
+    """Multiples of 1 / PERIOD_S that the multisine has at ticks of `period` s, evenly spread and at least 2 apart.
+
+    LINES of them, or fewer at a slow rate.
+    """
+    last = LAST_LINE if period <= FULL_PERIOD_S else math.floor(LAST_SHARE * PERIOD_S / period)
+    count = min(LINES, (last - FIRST_LINE) // 2 + 1)
+    step = (last - FIRST_LINE) / (count - 1)
+    return sorted({round(FIRST_LINE + step * k) for k in range(count)})
 
 
 def multisine_table(period: float) -> list[float]:
     """One period at unit amplitude of each line, a value a tick of `period` s: Schroeder's phases keep its peak low."""
-    lines, n = multisine_lines(), round(PERIOD_S / period)
+    lines, n = multisine_lines(period), round(PERIOD_S / period)
     phases = [-math.pi * k * (k + 1) / len(lines) for k in range(len(lines))]
-    waves = list(zip(lines, phases, _line_sizes(), strict=True))
+    waves = list(zip(lines, phases, _sizes(lines), strict=True))
     return [sum(a * math.cos(2.0 * math.pi * line * i / n + b) for line, b, a in waves) for i in range(n)]
 
 
 def multisine_way(mass: float) -> float:
-    """RMS way, m, of an axis of that mass (kg) in the loop below, with 1 N a line."""
+    """RMS way, m, of an axis of that mass (kg) in the loop below, with 1 N a line; at slow rates hardly less, as the
+    last lines move it least.
+    """
     omega0, square = 2.0 * math.pi * BANDWIDTH_HZ, 0.0
-    for line, size in zip(multisine_lines(), _line_sizes(), strict=True):
+    lines = multisine_lines(FULL_PERIOD_S)
+    for line, size in zip(lines, _sizes(lines), strict=True):
         omega = 2.0 * math.pi * line / PERIOD_S
         square += 0.5 * (size / abs(complex(omega0 * omega0 - omega * omega, 2.0 * DAMPING * omega0 * omega))) ** 2
     return math.sqrt(square) / mass
 
 
-def _line_sizes() -> list[float]:
-    return [min(1.0, line / PERIOD_S / FULL_FROM_HZ) for line in multisine_lines()]
+def _sizes(lines: list[int]) -> list[float]:
+    return [min(1.0, line / PERIOD_S / FULL_FROM_HZ) for line in lines]
 
 
 def triangle(cycles: float) -> float:
@@ -69,8 +80,9 @@ class Excitation(Law):
     """PD on the reference with an integrator until the force begins, Coulomb friction along the reference, and a force.
 
     The force of each shape depends on task time alone, except for growing triangles. These stop growing, and end after
-    three more, once a cycle has moved the axis by `excursion`. A half of one that has moved the axis by twice that ends
-    there, and all end beyond four times that. Each is centred by the drift of the one before it.
+    three more, once they have moved the axis by `excursion` either way. A half of one that has moved it by twice that
+    ends there, and all end beyond four times that. Each is centred by the drift of the one before it; where the axis
+    gave way at one end of its friction, the next goes on from there.
     """
 
     GAINS: ClassVar[dict[str, Gain]] = {
@@ -104,12 +116,14 @@ class Excitation(Law):
 
     def reset(self, position: Any, force: Any) -> None:
         """The integrator and the triangles begin anew."""
-        self._held = self._passed = self._slope = 0.0
-        self._size, self._cycle, self._grown = self._g["amplitude"], 0, -1
+        self._held = self._passed = self._step = 0.0
+        self._size, self._cycle, self._grown = self._g["amplitude"], -1, -1
         self._low = self._high = self._begun = position
         self._centre = self._turned = 0.0
         self._over = False
-        self._half, self._half_from, self._half_over = 0, position, False
+        self._half, self._half_from, self._half_over = -1, position, False
+        self._top: float | None = None
+        self._bottom: float | None = None
 
     def force(self, inputs: LawInputs) -> Any:
         """Of the loop, and the experiment's own."""
@@ -133,10 +147,12 @@ class Excitation(Law):
         return self._turned
 
     def _filtered(self, force: Any) -> Any:
-        """The loop's force, low-pass."""
-        omega = 2.0 * math.pi * FILTER_HZ
-        self._slope += (omega * (force - self._passed) - 2.0 * FILTER_DAMPING * self._slope) * omega * self._period
-        self._passed += self._slope * self._period
+        """The loop's force, low-pass, by implicit steps: stable at any rate."""
+        angle = 2.0 * math.pi * FILTER_HZ * self._period
+        self._step = (self._step + angle * angle * (force - self._passed)) / (
+            1.0 + 2.0 * FILTER_DAMPING * angle + angle * angle
+        )
+        self._passed += self._step
         return self._passed
 
     def _added(self, seconds: float, position: float) -> float:
@@ -158,24 +174,45 @@ class Excitation(Law):
 
     def _growing(self, cycles: float, position: float) -> float:
         self._low, self._high = min(self._low, position), max(self._high, position)
-        if math.floor(cycles) > self._cycle:
-            self._cycle = math.floor(cycles)
-            if self._grown < 0 and self._high - self._low >= 2.0 * self._g["excursion"]:
-                self._grown = self._cycle
-            if self._grown < 0:
-                self._size = min(self._size * GROWTH, 0.8 * self._limit)
-            self._centre -= self._size * self._drift(position)
+        if (cycle := math.floor(cycles)) > self._cycle:
+            if self._cycle >= 0:
+                self._next_size(cycle, position)
+            self._cycle = cycle
             self._low = self._high = self._begun = position
         ended = self._grown >= 0 and self._cycle - self._grown >= TRIANGLES_AT_SIZE
         self._over = self._over or ended or self._high - self._low > 8.0 * self._g["excursion"]
-        return self._centre + (0.0 if self._over or self._slid(cycles, position) else self._size * triangle(cycles))
+        if self._over:
+            return self._centre
+        force = self._centre + self._size * triangle(cycles)
+        return self._centre if self._slid(cycles, position, force) else force
 
-    def _slid(self, cycles: float, position: float) -> bool:
-        """Whether this half of a triangle has moved the axis far enough."""
+    def _slid(self, cycles: float, position: float, force: float) -> bool:
+        """Whether this half of a triangle has moved the axis far enough. Where it gave way is noted."""
         if (half := math.floor(2.0 * cycles)) > self._half:
             self._half, self._half_from, self._half_over = half, position, False
-        self._half_over = self._half_over or abs(position - self._half_from) > 2.0 * self._g["excursion"]
+        way = position - self._half_from
+        if half % 2 == 0 and self._top is None and way > self._g["excursion"]:
+            self._top = force
+        if half % 2 and self._bottom is None and -way > self._g["excursion"]:
+            self._bottom = force
+        self._half_over = self._half_over or abs(way) > 2.0 * self._g["excursion"]
         return self._half_over
+
+    def _next_size(self, cycle: int, position: float) -> None:
+        """It grows until both ends of friction are known; about the middle of them, or away from the one known end."""
+        top, bottom = self._top, self._bottom
+        if self._grown >= 0 or (top is None and bottom is None):
+            self._centre -= self._size * self._drift(position)
+        if self._grown >= 0:
+            return
+        if top is not None and bottom is not None:
+            self._grown, self._size, self._centre = cycle, BEYOND * 0.5 * (top - bottom), 0.5 * (top + bottom)
+            return
+        self._size = min(self._size * GROWTH, 0.8 * self._limit)
+        if top is not None:
+            self._centre = top - self._size
+        elif bottom is not None:
+            self._centre = bottom + self._size
 
     def _drift(self, position: float) -> float:
         """Of the cycle that ends, over its way, -1 to 1: what holds the axis may be anywhere within its friction."""

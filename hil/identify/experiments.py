@@ -20,14 +20,14 @@ from hil.rig.schema import AxisConfig, RigConfig
 ROW_S = 0.01  # of a path
 RAMP_S = 0.15  # from rest to speed
 REST_S = 0.3  # at both ends of an experiment
-SWEEP_REACH, PASS_REACH, STRETCH_REACH = 0.7, 0.45, (0.25, 0.6)  # of half the travel; the last, least and greatest
+SWEEP_REACH, PASS_REACH, STRETCH_REACH = 0.7, 0.45, 0.6  # of half the travel
 STRETCH_S = 0.6, 2.5  # a pass over the stretch at the greatest and the least speed, about
 SPEED_SHARE = 0.4  # of limits.speed
 SWEEP_S = 3.0
 MINIMUM_JERK_PEAK = 1.875  # greatest over mean speed
 STRETCH_SPEEDS = 6
 FIRST_PUSH = 0.002  # of limits.force
-EXCURSION = {"linear": 20e-6, "rotary": 1e-4}  # m, rad: of a push
+EXCURSION, EXCURSION_COUNTS = {"linear": 20e-6, "rotary": 1e-4}, 10  # m, rad: of a push, and its least
 PUSH_HZ, PUSH_S = 4.0, 9.0
 HOLD_HZ = 25.0  # of the loop until a weight is found: gravity may be 30 % wrong
 LOOP_HZ, LOOP_CYCLES = 2.5, 24
@@ -73,7 +73,8 @@ def _held(axis: AxisConfig, seconds: float) -> Array:
 
 
 def _gains(axis: AxisConfig, known: Known, **others: float) -> dict[str, float]:
-    own = {"mass": known.mass, "gravity": known.gravity, "coulomb": known.coulomb, "excursion": EXCURSION[axis.kind]}
+    excursion = max(EXCURSION[axis.kind], EXCURSION_COUNTS * axis.encoder_resolution)
+    own = {"mass": known.mass, "gravity": known.gravity, "coulomb": known.coulomb, "excursion": excursion}
     return own | others
 
 
@@ -106,8 +107,7 @@ def moves(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
         path.pass_between(-reach, reach, speed)
         path.pass_between(reach, -reach, speed)
     fastest_s, slowest_s = STRETCH_S
-    least, greatest = STRETCH_REACH
-    stretch = min(max(least * half, 0.5 * most * fastest_s), greatest * half)
+    stretch = min(0.5 * most * fastest_s, STRETCH_REACH * half)
     fastest = min(most, 2.0 * stretch / fastest_s)
     for speed in np.geomspace(2.0 * stretch / slowest_s, fastest, STRETCH_SPEEDS).tolist():
         path.pass_between(-stretch, stretch, speed)

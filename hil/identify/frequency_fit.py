@@ -136,7 +136,8 @@ def fit_axis(measured: Response, period: float, mass_guess: float) -> Axis:
     sigma = np.maximum(measured.deviation[good] / np.abs(g), FLOOR)
 
     def rest(q: Array, flexible: bool, data: Complex) -> Array:
-        ratio = np.log(_dynamics(q, flexible).response(omega, period) / data)
+        with np.errstate(over="ignore", invalid="ignore"):  # the search may try what no axis is
+            ratio = np.log(_dynamics(q, flexible).response(omega, period) / data)
         whole: Array = np.concatenate([ratio.real, ratio.imag]) / np.concatenate([sigma, sigma])
         return whole
 
@@ -178,7 +179,8 @@ def _seeds(frequency: Array, g: Complex, rigid: Array, period: float) -> list[Ar
     for hertz in np.geomspace(frequency[0] * 2.0, frequency[-1], GRID):
         for load in LOADS:
             q = np.array([rigid[0], 2e-4, 0.0, np.log(hertz), np.log(0.02), np.log(load / (0.95 - load))])
-            rest = np.log(_dynamics(q, True).response(omega, period)) - log_g
+            with np.errstate(over="ignore", invalid="ignore"):
+                rest = np.log(_dynamics(q, True).response(omega, period)) - log_g
             q[0] += float(np.median(rest.real))
             size = np.hypot(rest.real - np.median(rest.real), np.angle(np.exp(1j * rest.imag)))
             tried.append((float(np.minimum(size, 1.0).sum()), q))

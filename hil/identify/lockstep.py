@@ -3,6 +3,7 @@
 Nothing here reads [plant]: what is found comes from the forces and positions that a run of the real stage has, too.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from hil.analysis.flexible_plant import AxisDynamics
 from hil.identify.estimate import Array, Estimate, Refused
 from hil.identify.excitation import PERIOD_S, multisine_lines
-from hil.identify.experiments import EXPERIMENTS, PASS_PERIODS, SETTLE_S, Known, Plan, rig_document
+from hil.identify.experiments import EXPERIMENTS, PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan, rig_document
 from hil.identify.force_balance import Record, balance
 from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
 from hil.identify.signals import Signals, signals
@@ -26,6 +27,8 @@ APPROACH_S = 1.0
 BEFORE_S, AFTER_S = 2.0, 0.5  # of a run, around its task: drives enable, the axis comes to rest
 SPAN_SETTLE_S = 0.15  # left out of a pass at constant speed
 ROUGH_LAG = 2e-4  # s, until the frequency response has told it
+WEIGHED = 0.06  # of a mass that is found from accelerations, what no block shows: a coarse encoder hides where it turns
+LEAST_LOOP = 3  # encoder counts, of the smaller loops
 PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
 
 Told = Callable[[str], None]
@@ -132,7 +135,7 @@ def _push(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: 
         raise Refused("the run ended before the push began")
     if np.ptp(position) < plan.gains["excursion"]:
         raise Refused(f"the axis moved {np.ptp(position):.2g} at {np.abs(force).max():.3g} N: is it free to move?")
-    held = float(of.force[of.cut(plan.gains["from_s"] - 0.2, plan.gains["from_s"])].mean())
+    held = 0.5 * float(force.max() + force.min())
     size = np.abs(force - held)
     about = {"mass": known.mass, "constant": held, "coulomb": float(size.max()) / PUSH_OVER_COULOMB}
     try:
@@ -157,7 +160,7 @@ def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, kn
         sign = -1 if number // 2 % 2 else 1
         if not of.stalled[part].any():
             passes.append(Pass(of.step[part], of.late[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
-    findings.response = response_of(passes, of.period, multisine_lines(), base)
+    findings.response = response_of(passes, of.period, multisine_lines(of.period), base)
     fit = fit_axis(findings.response, of.period, known.mass)
     findings.dynamics = fit.dynamics
     findings.found |= {name: one for name, one in fit.found.items() if name != "viscous"}
@@ -169,12 +172,32 @@ def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     passes = []
     for begin, end, speed in plan.spans:
         part = of.cut(begin + SPAN_SETTLE_S, end)
-        passes.append(SpeedPass(of.force[part], of.position[part], speed))
-    fit = travel_fit(passes, of.period, known.mass, _lag(findings))
+        passes.append(SpeedPass(of.force[part], of.position[part], speed, np.flatnonzero(of.stalled[part]).tolist()))
+    if "mass" not in findings.found:
+        known = _weighed(of, plan, findings, known)
+    fit = travel_fit(passes, of.period, known.mass, _lag(findings), of.rounding)
     findings.travel = fit.curves
     findings.found |= fit.found
     findings.refused |= fit.refused
     return replace(known, coulomb=fit.found["coulomb"].value)
+
+
+def _weighed(of: Signals, plan: Plan, findings: Findings, known: Known) -> Known:
+    """The mass from the accelerations into and out of the passes, where there is no frequency response. At rest the
+    force may be anything within friction, so only the motion counts.
+    """
+    parts = [of.cut(begin - RAMP_S, end + RAMP_S) for begin, end, _ in plan.spans]
+    try:
+        fit = balance([Record(of.force[at], of.position[at], of.period, of.count, _lag(findings)) for at in parts])
+    except Refused as refused:
+        findings.refused["mass"] = refused.reason
+        return known
+    if "mass" not in fit.found:
+        findings.refused["mass"] = fit.refused["mass"]
+        return known
+    mass = fit.found["mass"]
+    findings.found["mass"] = mass._replace(half_width=math.hypot(mass.half_width, WEIGHED * mass.value))
+    return replace(known, mass=mass.value)
 
 
 def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
@@ -182,6 +205,12 @@ def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     skip = round(1.0 / plan.gains["frequency_hz"] / of.period)
     record = Record(of.force[part], of.position[part], of.period, of.count, _lag(findings), skip)
     findings.loops = of.position[part][skip:], of.force[part][skip:]
+    small = of.position[part][len(of.position[part]) // 2 :]
+    if np.ptp(small) < LEAST_LOOP * of.count:
+        raise Refused(
+            f"below Coulomb friction the axis moves {np.ptp(small) / of.count:.0f} encoder counts (at least "
+            f"{LEAST_LOOP}): the encoder does not resolve its presliding"
+        )
     viscous = findings.found["viscous"].value if "viscous" in findings.found else axis.model.viscous
     fit = balance([record], known.mass, viscous)
     if "presliding" in fit.found:

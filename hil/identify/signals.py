@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from drivers.protocols import device_protocol
 from hil.identify.estimate import Array, Refused
 from hil.rig.layout import host_layout
+from hil.rig.schema import RigConfig
 from hil.runs.api import Run
 
 MOST_LOST = 5e-3  # of a live run's ticks
@@ -29,7 +31,8 @@ Ticks = NDArray[np.int64]
 class Signals:
     """Of one axis of a run, (n,) each. seconds: task time at each instant; position: there; force: its mean from there
     to the next. step: what was sent last, and late: by how many s after the instant it began to act. stalled: instants
-    in a gap of the samples that nothing bridges. period: s between instants; count: of the encoder, m (rad).
+    in a gap of the samples that nothing bridges. period: s between instants; count: of the encoder, m (rad); rounding:
+    N, by which frames may change a force.
     """
 
     force: Array
@@ -40,6 +43,7 @@ class Signals:
     stalled: NDArray[np.bool_]
     period: float
     count: float
+    rounding: float
 
     def cut(self, begin: float, end: float) -> slice:
         """Of that task time."""
@@ -53,13 +57,14 @@ def signals(run: Run, axis: str, folder: Path = HERE) -> Signals:
     """
     if missing := too_many_lost(run):
         raise Refused(missing)
-    at, period, index = run.axes.index(axis), run.rig.period_ns, run.columns["index"]
+    at, config, period, index = run.axes.index(axis), run.rig.axes[axis], run.rig.period_ns, run.columns["index"]
     taken, fresh = _samples(run, at)
     due = run.columns["scheduled_ns"][:-1]
     usual = int(np.median((taken - due)[fresh])) if fresh.any() else 0
     every = np.arange(index[0], index[-1]) if len(index) else index
     grid = run.columns["scheduled_ns"][:1] + (every - index[:1]) * period + usual
-    position = _between(taken[fresh], run.columns["position"][1:, at][fresh], grid)
+    stalled = _far_from(taken[fresh], grid, period)
+    position = _between(taken[fresh], run.columns["position"][1:, at][fresh], grid, stalled)
     begins = _begins(run, at, taken, fresh, folder)
     last = np.searchsorted(index, every, side="right") - 1
     task_ns = run.columns["task_ns"][last]
@@ -73,9 +78,10 @@ def signals(run: Run, axis: str, folder: Path = HERE) -> Signals:
         late=late[during],
         position=position[during],
         seconds=seconds[during],
-        stalled=_far_from(taken[fresh], grid, period)[during],
+        stalled=stalled[during],
         period=period * 1e-9,
-        count=run.rig.axes[axis].encoder_resolution,
+        count=config.encoder_resolution,
+        rounding=config.rated_force * _force_resolution(run.rig, folder),
     )
 
 
@@ -112,13 +118,24 @@ def _begins(run: Run, at: int, taken: Ticks, fresh: NDArray[np.bool_], folder: P
     return np.maximum.accumulate(begins)
 
 
-def _between(when: Ticks, position: Array, grid: Ticks) -> Array:
-    """Positions at the instants of a grid, ns."""
+def _force_resolution(rig: RigConfig, folder: Path) -> float:
+    """Half of a step of the force, as a share of the rated one."""
+    rated = [axis.rated_force for axis in rig.axes.values()]
+    try:
+        device = device_protocol(rig.bus, len(rated), rated, folder, rig.mountings)
+    except (ValueError, OSError):
+        return 0.0
+    return float(getattr(device, "force_resolution", 0.0))
+
+
+def _between(when: Ticks, position: Array, grid: Ticks, straight: NDArray[np.bool_]) -> Array:
+    """Positions at the instants of a grid, ns; some on a straight line between the samples."""
     if len(when) < 2:
         return np.full(len(grid), position[0] if len(position) else 0.0)
     zero = when[0]
-    values: Array = CubicSpline((when - zero) * 1e-9, position)((grid - zero) * 1e-9)
-    return np.where((grid < when[0]) | (grid > when[-1]), np.interp(grid, when, position), values)
+    curve: Array = CubicSpline((when - zero) * 1e-9, position)((grid - zero) * 1e-9)
+    lines: Array = np.interp(grid, when, position)
+    return np.where(straight | (grid < when[0]) | (grid > when[-1]), lines, curve)
 
 
 def _mean(begins: Ticks, force: Array, grid: Ticks, period: int) -> Array:

@@ -4,34 +4,44 @@ What changes its sign with the direction is friction, what does not is a force o
 The balance is linear except for the periods along the travel, which are searched.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import minimize_scalar
+from scipy.optimize import least_squares
 
 from hil.identify.estimate import Array, Estimate, Refused, jackknife
 from hil.identify.force_balance import CORNER_HZ, EDGE_S, lagged
 
 LEAST_PASSES = 4
-PERIODS = 100  # tried
+PERIODS, SEEDS = 32, 3  # tried of each kind, and refined
 GAIN = 1.5  # by which a sinusoid along the travel must lower the residual's square to be told
-LEAST_PARTS = 4.0  # periods are searched between 1.5 times the travel and the travel over this squared
+LEAST_PARTS, LONGEST = 4.0, 4.0  # periods are searched from the travel over the first squared to this many of it
 # Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
-SYSTEMATIC = {"coulomb": 0.001, "viscous": 0.015, "friction_variation": 0.03, "cogging_amplitude": 0.01}
+SYSTEMATIC = {
+    "coulomb": 0.001, "viscous": 0.015, "friction_variation": 0.03, "friction_period": 0.001,
+    "cogging_amplitude": 0.01, "cogging_period": 0.006,
+}  # fmt: skip
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
-LEAD = 0.08  # of the travel, left out at the beginning of a pass: cables that move along take a way to turn
+# Of the travel, left out at the beginning of a pass, as cables that move along take a way to turn; at most of the pass.
+LEAD, MOST_LEAD = 0.08, 0.25
+STALL_S = 0.05, 0.15  # left out before a stall, for the filter, and behind it, until the loop is at rest again
 PLACES = 240  # along the travel; the force is averaged over each
 
 
 class SpeedPass(NamedTuple):
-    """One pass at constant speed, away from its ends: force as applied (N), position (m), (n,). speed: m/s, signed."""
+    """One pass at constant speed, away from its ends: force as applied (N), position (m), (n,). speed: m/s, signed.
+    stalled: indices at which the computer stalled; the places passed about then do not count.
+    """
 
     force: Array
     position: Array
     speed: float
+    stalled: Sequence[int] = ()
 
 
 class TravelCurves(NamedTuple):
@@ -66,9 +76,12 @@ class _Points(NamedTuple):
 BASE = ("coulomb", "constant", "cable_stiffness")
 
 
-def travel_fit(passes: Sequence[SpeedPass], period: float, mass: float, lag: float = 0.0) -> TravelFit:
+def travel_fit(
+    passes: Sequence[SpeedPass], period: float, mass: float, lag: float = 0.0, rounding: float = 0.0
+) -> TravelFit:
     """Coulomb and viscous friction, constant force, stiffness of cables, variation of friction and cogging along the
-    travel; 95 % intervals from a jackknife over the passes. Raises Refused.
+    travel; 95 % intervals from a jackknife over the passes. rounding: N, by which frames may change a force; it counts
+    where no noise is larger. Raises Refused.
     """
     ways = [sum(p.speed > 0.0 for p in passes), sum(p.speed < 0.0 for p in passes)]
     if min(ways) < LEAST_PASSES // 2:
@@ -93,13 +106,16 @@ def travel_fit(passes: Sequence[SpeedPass], period: float, mass: float, lag: flo
         part = _Points(*(values[kept] for values in points))
         other = 0.0 if refused else _viscous(part)
         part = _without_speed(part, other)
-        shifted = [(kind, _refined(part, waves, i)) for i, (kind, _) in enumerate(waves)]
+        shifted = _refined(part, waves)
         y, _ = _solve(part, shifted)
         without.append(np.array([other, *_told(y, shifted, points).values()]))
     half = jackknife(without).tolist()
     values = {"viscous": viscous, **_told(x, waves, points)}
     systematic = {name: share * values[name] for name, share in SYSTEMATIC.items() if name in values}
     systematic["constant"] = SYSTEMATIC["coulomb"] * values["coulomb"]  # the sinusoids' ends go into either
+    if residual < rounding:
+        spread = {"viscous": max(speeds) - min(speeds), "coulomb": 1.0, "constant": 1.0}
+        systematic |= {name: math.hypot(systematic[name], rounding / size) for name, size in spread.items() if size}
     found = {
         name: Estimate(value, float(np.hypot(width, systematic.get(name, 0.0))), UNITS[name])
         for (name, value), width in zip(values.items(), half, strict=True)
@@ -112,6 +128,8 @@ def travel_fit(passes: Sequence[SpeedPass], period: float, mass: float, lag: flo
             refused[name] = f"no sinusoid along the travel above the residual of {residual:.2g} N"
         elif length > travel:
             refused[name] = f"its period is longer than the travel of {travel:.3g} m"
+            refused["cable_stiffness"] = f"{name} looks like it: {refused[name]}"
+            found.pop("cable_stiffness", None)
         if name in refused:
             found.pop(name, None)
             found.pop(period_of, None)
@@ -135,7 +153,8 @@ def _points(passes: Sequence[SpeedPass], period: float, mass: float, lag: float)
     for number, one in enumerate(passes):
         position, force = _smooth(one, period, mass, lag)
         turned = 1 if one.speed > 0.0 else -1
-        begin = one.position[0] + turned * LEAD * (high - low)
+        lead = min(LEAD * (high - low), MOST_LEAD * float(np.ptp(one.position)))
+        begin = one.position[0] + turned * lead
         first, last = sorted((begin, position[-1]))
         whole = np.flatnonzero((edges >= first) & (edges <= last))
         if whole.size < 2:
@@ -146,9 +165,19 @@ def _points(passes: Sequence[SpeedPass], period: float, mass: float, lag: float)
         when = np.interp(at, position[::turned], (period * np.arange(position.size))[::turned])
         width = np.diff(at)
         values = (np.diff(done) / width, 0.5 * (at[1:] + at[:-1]), width / np.diff(when))
+        sound = _sound(when, one, period)
         for column, value in zip(columns, (*values, np.full(width.size, number), whole[:-1]), strict=True):
-            column.append(value)
+            column.append(value[sound])
     return _Points(*(np.concatenate(column) for column in columns))
+
+
+def _sound(when: Array, one: SpeedPass, period: float) -> NDArray[np.bool_]:
+    """Whether a place was passed away from stalls, (k - 1,). when: s, at the places' edges, (k,)."""
+    first, last = np.minimum(when[1:], when[:-1]), np.maximum(when[1:], when[:-1])
+    sound = np.ones(first.size, bool)
+    for at in (np.asarray(one.stalled, float) * period - EDGE_S).tolist():
+        sound &= (last < at - STALL_S[0]) | (first > at + STALL_S[1])
+    return sound
 
 
 def _smooth(one: SpeedPass, period: float, mass: float, lag: float) -> tuple[Array, Array]:
@@ -222,36 +251,35 @@ def _square(points: _Points, waves: Sequence[tuple[bool, float]]) -> float:
 
 
 def _waves(points: _Points) -> list[tuple[bool, float]]:
-    """The periods along the travel that are worth it: one of friction, one of the place."""
+    """The periods along the travel that are worth it: one of friction, one of the place, searched together."""
     travel = float(np.ptp(points.position))
-    lengths = np.geomspace(travel / LEAST_PARTS**2, 1.5 * travel, PERIODS).tolist()
-    waves: list[tuple[bool, float]] = []
-    now = _square(points, waves)
-    for _ in range(2):
-        kinds = [odd for odd in (True, False) if all(odd is not other for other, _ in waves)]
-        tried = [(_square(points, [*waves, (odd, length)]), odd, length) for odd in kinds for length in lengths]
-        least, odd, length = min(tried)
-        if least * GAIN > now:
-            break
-        waves.append((odd, length))
-        for i in [*range(len(waves))] * 2:
-            waves[i] = (waves[i][0], _refined(points, waves, i))
-        now = _square(points, waves)
-    return waves
+    lengths = np.geomspace(travel / LEAST_PARTS**2, LONGEST * travel, PERIODS).tolist()
+    single = [[(odd, length)] for odd in (True, False) for length in lengths]
+    pairs = [[(True, odd), (False, even)] for odd in lengths for even in lengths]
+    best: list[tuple[bool, float]] = []
+    least = _square(points, best)
+    for tried in (single, pairs):
+        seeds = sorted(tried, key=lambda waves: _square(points, waves))[:SEEDS]
+        found = [_refined(points, waves) for waves in seeds]
+        squares = [_square(points, waves) for waves in found]
+        if min(squares) * GAIN < least:
+            least, best = min(squares), found[int(np.argmin(squares))]
+    return best
 
 
-def _refined(points: _Points, waves: Sequence[tuple[bool, float]], at: int) -> float:
-    """The period of one wave where the residual is least, near the present one."""
-    odd, length = waves[at]
-    others = [wave for i, wave in enumerate(waves) if i != at]
-    near = 0.04 * length
-    found = minimize_scalar(
-        lambda one: _square(points, [*others, (odd, float(one))]),
-        bounds=(length - near, length + near),
-        method="bounded",
-        options={"xatol": 1e-4 * length},
-    )
-    return float(found.x)
+def _refined(points: _Points, waves: Sequence[tuple[bool, float]]) -> list[tuple[bool, float]]:
+    """The periods where the residual is least, from these on."""
+    if not waves:
+        return []
+    kinds = [odd for odd, _ in waves]
+    size = float(np.sqrt((points.force**2).mean()))
+
+    def rest(logs: Array) -> Array:
+        left: Array = _solve(points, list(zip(kinds, np.exp(logs).tolist(), strict=True)))[1]
+        return left / size
+
+    done = least_squares(rest, np.log([length for _, length in waves]), max_nfev=40, xtol=1e-10, ftol=1e-12)
+    return list(zip(kinds, np.exp(done.x).tolist(), strict=True))
 
 
 def _told(x: Array, waves: Sequence[tuple[bool, float]], points: _Points) -> dict[str, float]:

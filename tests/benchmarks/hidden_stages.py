@@ -7,10 +7,12 @@ error of each quantity (median and worst), how often its interval held the truth
 import argparse
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from hil.identify.estimate import Estimate
 from hil.identify.experiments import SWEEP_REACH
 from hil.identify.lockstep import identify
 from hil.rig.file import load_rig
@@ -20,6 +22,7 @@ from hil.studies.evidence.stages import nominal, only, plant_of
 from sim_plant.config import PlantConfig
 
 SWEPT = SWEEP_REACH - 0.053  # of half the travel, at constant speed
+ABSOLUTE = {"torque_lag": (1e6, "us"), "mode_load": (1.0, ""), "friction_variation": (1.0, "")}  # scale, unit
 RIG, TOLD = "microscope", ("mass", "coulomb", "viscous", "gravity", "torque_lag")
 
 
@@ -47,30 +50,35 @@ def hidden(
     axes = {axis: whole.axes[axis].model_copy(update={"model": model.model_copy(update=wrong)})}
     drives = whole.drives.model_copy(update={"brake": [axis == "z"]})
     rig = whole.model_copy(update={"axes": axes, "drives": drives, "plant": plant.model_copy(update=mine)})
-    travel = SWEPT * axes[axis].limits.position[1]
+    return rig, truth_of_axis(plant, axis, 0, SWEPT * axes[axis].limits.position[1])
+
+
+def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> dict[str, float]:
+    """By quantity, as a stage shows it between -travel and travel. number: of the axis on the stage."""
+
+    def of(key: str) -> float:
+        value = getattr(plant, key)
+        return float(value[number] if isinstance(value, list) else value)
+
+    mean = _mean_sine(travel, of("friction_period"), of("friction_phase"))
+    waves = [one for one in plant.cogging if one.axis == axis]
+    pulled = sum(one.amplitude * _mean_sine(travel, one.period, one.phase) for one in waves)
     truth = {
-        "mass": _first(plant.mass),
-        "torque_lag": _first(plant.torque_lag),
-        "coulomb": _dry(plant, travel) + _first(plant.cable_hysteresis),  # what long moves meet
-        "viscous": _first(plant.viscous),
-        "constant": -_first(plant.gravity) - _first(plant.bias) - _cogging(plant, travel),
-        "presliding": _first(plant.presliding),
+        "mass": of("mass"),
+        "torque_lag": of("torque_lag"),
+        "coulomb": of("coulomb") * (1.0 + of("friction_variation") * mean) + of("cable_hysteresis"),
+        "viscous": of("viscous"),
+        "constant": -of("gravity") - of("bias") - pulled,
+        "presliding": of("presliding"),
+        "friction_variation": of("friction_variation"),
+        "friction_period": of("friction_period"),
+        "cogging_amplitude": waves[0].amplitude,
+        "cogging_period": waves[0].period,
     }
-    if plant.modes:
-        one = plant.modes[0]
-        truth |= {"mode_frequency_hz": one.frequency_hz, "mode_damping": one.damping, "mode_load": one.load}
-    return rig, truth
-
-
-def _dry(plant: PlantConfig, travel: float) -> float:
-    """Mean Coulomb friction from -travel to travel."""
-    wave = _mean_sine(travel, _first(plant.friction_period), _first(plant.friction_phase))
-    return _first(plant.coulomb) * (1.0 + _first(plant.friction_variation) * wave)
-
-
-def _cogging(plant: PlantConfig, travel: float) -> float:
-    """Its mean over the same travel."""
-    return sum(one.amplitude * _mean_sine(travel, one.period, one.phase) for one in plant.cogging)
+    for mode in plant.modes:
+        if mode.axis == axis:
+            truth |= {"mode_frequency_hz": mode.frequency_hz, "mode_damping": mode.damping, "mode_load": mode.load}
+    return truth
 
 
 def _mean_sine(travel: float, period: float, phase: float) -> float:
@@ -78,8 +86,31 @@ def _mean_sine(travel: float, period: float, phase: float) -> float:
     return math.sin(phase) * math.sin(turn) / turn
 
 
-def _first(value: float | list[float]) -> float:
-    return value[0] if isinstance(value, list) else value
+class Errors:
+    """Of identified quantities, stage by stage."""
+
+    def __init__(self) -> None:
+        self._errors, self._held = defaultdict[str, list[float]](list), defaultdict[str, list[bool]](list)
+
+    def add(
+        self, stage: str, found: Mapping[str, Estimate], refused: Mapping[str, str], truth: Mapping[str, float]
+    ) -> None:
+        """Of one axis, printed at once."""
+        for name, why in refused.items():
+            print(f"{stage}: {name} refused: {why}", flush=True)
+        for name, value in truth.items():
+            if name in found:
+                one = found[name]
+                self._errors[name].append(abs(one.value - value) / (1.0 if name in ABSOLUTE else abs(value)))
+                self._held[name].append(one.holds(value))
+                print(f"{stage}: {name} {one.value:.5g} +- {one.half_width:.2g}, truth {value:.5g}", flush=True)
+
+    def show(self) -> None:
+        """Median and worst of each quantity."""
+        for name, values in self._errors.items():
+            scale, unit = ABSOLUTE.get(name, (100.0, "%"))
+            middle, worst, held = scale * np.median(values), scale * max(values), sum(self._held[name])
+            print(f"{name:20} median {middle:.3g} {unit}, worst {worst:.3g} {unit}, held {held} of {len(values)}")
 
 
 def main() -> None:
@@ -94,22 +125,13 @@ def main() -> None:
     parser.add_argument("--empty", action="store_true", help="begin with an empty model")
     parser.add_argument("--count", type=float, default=0.0, help="of the encoder, m (rad); 0: the rig file's")
     words = parser.parse_args()
-    errors, held = defaultdict(list), defaultdict(list)
+    errors = Errors()
     for number in range(words.first, words.first + words.stages):
         off = None if words.empty else words.off
         rig, truth = hidden(words.axis, words.seed, number, words.mode, off, words.count)
         found = identify(rig, Path("."), [words.axis], lambda text: None)[words.axis]
-        for name, why in found.refused.items():
-            print(f"stage {number}: {name} refused: {why}", flush=True)
-        for name, value in truth.items():
-            if name in found.found:
-                one = found.found[name]
-                errors[name].append(100.0 * abs(one.value / value - 1.0))
-                held[name].append(one.holds(value))
-                print(f"stage {number}: {name} {one.value:.5g} +- {one.half_width:.2g}, truth {value:.5g}", flush=True)
-    for name, values in errors.items():
-        rate = sum(held[name])
-        print(f"{name:20} median {np.median(values):.3g} %, worst {max(values):.3g} %, held {rate} of {len(values)}")
+        errors.add(f"stage {number}", found.found, found.refused, truth)
+    errors.show()
 
 
 if __name__ == "__main__":
