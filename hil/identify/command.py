@@ -82,8 +82,10 @@ def identify(
         _report(console, rig, config, findings, picture, responses)
     if write and any(model_values(one.found) for one in findings.values()):
         found = {name: one.found for name, one in findings.items()}
+        checked = {name: one.validation for name, one in findings.items() if one.validation}
         try:
-            write.write_text(rig_text(rig, found, datetime.date.today().isoformat(), evidence), encoding="utf-8")
+            text = rig_text(rig, found, datetime.date.today().isoformat(), evidence, checked)
+            write.write_text(text, encoding="utf-8")
         except OSError as error:
             console.print(f"hil: {write}: {error.strerror}", markup=False)
             raise typer.Exit(EXIT_FILE) from None
@@ -192,6 +194,11 @@ def _show(console: Any, rig: RigConfig, findings: dict[str, Findings]) -> None:
             table.add_row(name, quantity, *cells, _stated(rig, name, quantity))
     console.print(table)
     for name, one in findings.items():
+        if one.validation:
+            error, own = one.validation
+            unit = "N" if rig.axes[name].kind == "linear" else "N m"
+            text = f"{name}: {error:.2g} {unit} RMS unexplained in a motion that no fit used, {own:.2g} {unit} in moves"
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
         for quantity, why in one.refused.items():
             console.print(f"{name}: {quantity} refused: {why}", markup=False, highlight=False, soft_wrap=True)
         for text in _changes(rig, name, one):
@@ -228,6 +235,7 @@ def _document(rig: RigConfig, findings: dict[str, Findings], evidence: str) -> d
         name: {
             "found": {quantity: estimate._asdict() for quantity, estimate in one.found.items()},
             "refused": one.refused,
+            "validation": one.validation,
             "model": model_values(one.found),
             "changes": _changes(rig, name, one),
         }

@@ -173,6 +173,8 @@ class Excitation(Law):
         return self._growing(cycles, position)
 
     def _growing(self, cycles: float, position: float) -> float:
+        if self._over:
+            return self._centre
         self._low, self._high = min(self._low, position), max(self._high, position)
         if (cycle := math.floor(cycles)) > self._cycle:
             if self._cycle >= 0:
@@ -180,7 +182,7 @@ class Excitation(Law):
             self._cycle = cycle
             self._low = self._high = self._begun = position
         ended = self._grown >= 0 and self._cycle - self._grown >= TRIANGLES_AT_SIZE
-        self._over = self._over or ended or self._high - self._low > 8.0 * self._g["excursion"]
+        self._over = ended or self._high - self._low > 8.0 * self._g["excursion"]
         if self._over:
             return self._centre
         force = self._centre + self._size * triangle(cycles)

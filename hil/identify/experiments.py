@@ -37,6 +37,7 @@ SWING_SHARE = 0.1  # of limits.oscillation, RMS that the multisine moves the axi
 TURN_S = 0.15  # at rest between passes: else the swings of one and the turn behind it count as an oscillation
 SETTLE_S = 0.3  # of a pass at speed, before its periods
 PASS_PERIODS, PASSES = 2, 12
+CHECK_S, SHORT_MOVES, SHORT_SHARE, SHORT_S = 4.0, 4, 0.1, 0.3  # sine; number of moves, size over the sine's, s of each
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,22 @@ def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     return Plan(path.rows(), gains, path.spans_from(approach_s))
 
 
-EXPERIMENTS = {"push": push, "frequency": frequency, "moves": moves, "loops": loops}
+def check(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
+    """What no other experiment does: a sine at 1 Hz that comes and goes, and short moves."""
+    centre, half = middle(axis)
+    size = min(PASS_REACH * half, SPEED_SHARE * axis.limits.speed / (2.0 * math.pi))
+    seconds = np.arange(round(CHECK_S / ROW_S) + 1) * ROW_S
+    grown = np.sin(0.5 * math.pi * np.clip(np.minimum(seconds, CHECK_S - seconds), 0.0, 1.0)) ** 2
+    path = _Passes(centre, SPEED_SHARE * axis.limits.speed)
+    path.follow(size * grown * np.sin(2.0 * math.pi * seconds))
+    for number in range(SHORT_MOVES):
+        path.go_to((1, -1)[number % 2] * SHORT_SHARE * size, SHORT_S)
+        path.rest(TURN_S)
+    path.go_to(0.0, SHORT_S)
+    return Plan(path.rows(), _gains(axis, known))
+
+
+EXPERIMENTS = {"push": push, "frequency": frequency, "moves": moves, "loops": loops, "check": check}
 
 
 class _Passes:
@@ -158,10 +174,14 @@ class _Passes:
         """Stay."""
         self._positions += [self._positions[-1]] * math.ceil(seconds / ROW_S)
 
-    def go_to(self, target: float) -> None:
-        """From rest to rest, at no more than the greatest speed; minimum jerk."""
+    def follow(self, positions: Array) -> None:
+        """From rest to rest, from where it is."""
+        self._positions += positions.tolist()
+
+    def go_to(self, target: float, least_s: float = 1.0) -> None:
+        """From rest to rest, at no more than the greatest speed and for `least_s` at least; minimum jerk."""
         here = self._positions[-1]
-        n = math.ceil(max(1.0, MINIMUM_JERK_PEAK * abs(target - here) / self._most) / ROW_S)
+        n = math.ceil(max(least_s, MINIMUM_JERK_PEAK * abs(target - here) / self._most) / ROW_S)
         u = np.arange(1, n + 1) / n
         self._positions += (here + (target - here) * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)).tolist()
 

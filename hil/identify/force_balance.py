@@ -98,22 +98,23 @@ def bristle(path: Array, length: float) -> Array:
     return whole
 
 
-class _Signals:
+class Balanced:
     """Of one record, filtered alike: what the balance is made of."""
 
     def __init__(self, record: Record, mass: float | None, viscous: float | None) -> None:
         self.record, self.mass, self.viscous = record, mass, viscous
         self._width = np.sqrt(np.log(2.0)) / (2.0 * np.pi * CORNER_HZ * record.period)
-        smooth = self._filtered(record.position)
+        smooth = self.filtered(record.position)
         self.velocity = np.gradient(smooth, record.period)
         self.acceleration = np.gradient(self.velocity, record.period)
         # A force belongs to the middle of its period.
-        self.force = self._filtered(self._at_samples(lagged(record.force, record.lag, record.period)))
+        self.force = self.filtered(self._at_samples(lagged(record.force, record.lag, record.period)))
         self.path = played(record.position, PLAY_COUNTS * record.resolution)
         edge = round(EDGE_S / record.period)
         self.inside = slice(max(edge, record.skip), len(record.position) - edge)
 
-    def _filtered(self, values: Array) -> Array:
+    def filtered(self, values: Array) -> Array:
+        """Behind the filter that all signals pass."""
         out: Array = gaussian_filter1d(values, self._width, mode="nearest")
         return out
 
@@ -129,7 +130,7 @@ class _Signals:
         friction and mass where they are not given.
         """
         state = bristle(self.path, length)
-        friction = self._filtered(state)
+        friction = self.filtered(state)
         rows = [friction, np.ones_like(friction), np.gradient(friction, self.record.period)]
         target = self.force
         for given, row in ((self.viscous, self.velocity), (self.mass, self.acceleration)):
@@ -153,7 +154,7 @@ def _solve(a: Array, b: Array) -> tuple[Array, float]:
     return x / size, float(rest @ rest)
 
 
-def _best(parts: Sequence[_Signals], guess: float | None = None) -> tuple[float, Array, float]:
+def _best(parts: Sequence[Balanced], guess: float | None = None) -> tuple[float, Array, float]:
     """Length, the linear quantities, and the residual's share of the force."""
 
     def met(log_length: float) -> tuple[Array, float, Array]:
@@ -184,7 +185,7 @@ def balance(records: Sequence[Record], mass: float | None = None, viscous: float
     moved = max(float(np.ptp(r.position)) / r.resolution for r in records)
     if moved < LEAST_COUNTS:
         raise Refused(f"not enough motion: {moved:.0f} encoder counts (at least {LEAST_COUNTS:.0f})")
-    parts = [_Signals(record, mass, viscous) for record in records]
+    parts = [Balanced(record, mass, viscous) for record in records]
     length, x, unexplained = _best(parts)
     if unexplained > UNEXPLAINED:
         raise Refused(
@@ -202,17 +203,17 @@ def balance(records: Sequence[Record], mass: float | None = None, viscous: float
     return Balance(*_told(names, np.array([np.log(length), *x]), half, records[0].resolution), unexplained)
 
 
-def _blocks(parts: Sequence[_Signals]) -> list[_Signals]:
+def _blocks(parts: Sequence[Balanced]) -> list[Balanced]:
     """One record cut into blocks, the filtered signals kept; several are blocks themselves."""
     if len(parts) >= BLOCKS:
         return list(parts)
-    out: list[_Signals] = []
+    out: list[Balanced] = []
     each = -(-BLOCKS // len(parts))
     for part in parts:
         inside = part.inside
         marks = np.linspace(inside.start, inside.stop, each + 1).astype(int)
         for first, last in pairwise(marks.tolist()):
-            piece = object.__new__(_Signals)
+            piece = object.__new__(Balanced)
             piece.__dict__.update(part.__dict__)
             piece.inside = slice(first, last)
             out.append(piece)

@@ -3,6 +3,7 @@
 Nothing here reads [plant]: what is found comes from the forces and positions that a run of the real stage has, too.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,11 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hil.analysis.flexible_plant import AxisDynamics
+from hil.identify.elements import friction_at_rest
 from hil.identify.estimate import Array, Estimate, Refused
 from hil.identify.excitation import PERIOD_S, multisine_lines
 from hil.identify.experiments import EXPERIMENTS, PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan, rig_document
 from hil.identify.force_balance import Record, balance
 from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
+from hil.identify.prediction import AxisForces
 from hil.identify.signals import Signals, signals
 from hil.identify.travel_fit import SpeedPass, TravelCurves, travel_fit
 from hil.rig.schema import AxisConfig, RigConfig
@@ -28,7 +31,9 @@ BEFORE_S, AFTER_S = 2.0, 0.5  # of a run, around its task: drives enable, the ax
 SPAN_SETTLE_S = 0.15  # left out of a pass at constant speed
 ROUGH_LAG = 2e-4  # s, until the frequency response has told it
 WEIGHED = 0.06  # of a mass that is found from accelerations, what no block shows: a coarse encoder hides where it turns
+MOST_UNEXPLAINED, LEAST_UNEXPLAINED = 2.0, 0.02  # of what moves leave; of Coulomb friction besides
 LEAST_LOOP = 3  # encoder counts, of the smaller loops
+FULL = 0.9  # of the largest triangle's range of force
 PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
 
 Told = Callable[[str], None]
@@ -60,7 +65,8 @@ def in_virtual_time(trial: Trial) -> tuple[Run, str]:
 class Findings:
     """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment; ended: the faults
     that ended the experiments, empty where none did. To look at: the frequency response with the axis fitted to it,
-    what the travel showed, and loops of position (m) and force (N).
+    what the travel showed, and loops of position (m) and force (N). validation: force that is left unexplained, N RMS,
+    in a motion that no fit used and in `moves`.
     """
 
     found: dict[str, Estimate] = field(default_factory=dict)
@@ -71,6 +77,8 @@ class Findings:
     dynamics: AxisDynamics | None = None
     travel: TravelCurves | None = None
     loops: tuple[Array, Array] | None = None
+    moved: Signals | None = None
+    validation: tuple[float, float] | None = None
 
 
 def identify(
@@ -135,19 +143,26 @@ def _push(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: 
         raise Refused("the run ended before the push began")
     if np.ptp(position) < plan.gains["excursion"]:
         raise Refused(f"the axis moved {np.ptp(position):.2g} at {np.abs(force).max():.3g} N: is it free to move?")
-    held = 0.5 * float(force.max() + force.min())
-    size = np.abs(force - held)
-    about = {"mass": known.mass, "constant": held, "coulomb": float(size.max()) / PUSH_OVER_COULOMB}
-    try:
-        first = int(np.flatnonzero(size > 0.95 * size.max())[0])
-        record = Record(force, position, of.period, of.count, ROUGH_LAG, first)
+    triangles = _largest(force, round(1.0 / (plan.gains["frequency_hz"] * of.period)))
+    low, high = float(force[triangles].min()), float(force[triangles].max())
+    about = {"mass": known.mass, "constant": 0.5 * (low + high), "coulomb": 0.5 * (high - low) / PUSH_OVER_COULOMB}
+    with contextlib.suppress(Refused):  # of no single bristle: the size of the push is near enough for what follows
+        until = slice(0, triangles.stop)
+        record = Record(force[until], position[until], of.period, of.count, ROUGH_LAG, triangles.start)
         found = balance([record], viscous=axis.model.viscous).found
         about |= {name: found[name].value for name in about if name in found}
-    except Refused:
-        pass  # a stage that is no single bristle: the size of the push is near enough for the next experiment
     coulomb = about["coulomb"]
     findings.found["push_coulomb"] = Estimate(coulomb, 0.25 * coulomb, "N")
     return Known(about["mass"], about["constant"], coulomb)
+
+
+def _largest(force: Array, cycle: int) -> slice:
+    """The triangles of full size, and one cycle of rest behind them. cycle: ticks of a triangle."""
+    count = len(force) // cycle
+    sizes = np.ptp(force[: count * cycle].reshape(count, cycle), axis=1)
+    sizes[0] = 0.0  # the loop changes there
+    full = np.flatnonzero(sizes >= FULL * sizes.max())
+    return slice(int(full[0]) * cycle, (int(full[-1]) + 2) * cycle)
 
 
 def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
@@ -176,7 +191,7 @@ def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     if "mass" not in findings.found:
         known = _weighed(of, plan, findings, known)
     fit = travel_fit(passes, of.period, known.mass, _lag(findings), of.rounding)
-    findings.travel = fit.curves
+    findings.travel, findings.moved = fit.curves, of
     findings.found |= fit.found
     findings.refused |= fit.refused
     return replace(known, coulomb=fit.found["coulomb"].value)
@@ -212,10 +227,24 @@ def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
             f"{LEAST_LOOP}): the encoder does not resolve its presliding"
         )
     viscous = findings.found["viscous"].value if "viscous" in findings.found else axis.model.viscous
-    fit = balance([record], known.mass, viscous)
-    if "presliding" in fit.found:
-        findings.found["presliding"] = fit.found["presliding"]
-    findings.refused |= {name: why for name, why in fit.refused.items() if name == "presliding"}
+    found, refused = friction_at_rest(record, known.mass, viscous)
+    findings.found |= found
+    findings.refused |= refused
+    return known
+
+
+def _check(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+    """How much of the force of another motion the findings explain."""
+    if findings.moved is None or findings.travel is None:
+        raise Refused("without the experiment moves there is nothing to check")
+    model = AxisForces.of(findings.found, findings.travel, known.mass, axis.model.viscous, _lag(findings))
+    error, own = model.unexplained(of), model.unexplained(findings.moved)
+    findings.validation = error, own
+    most = MOST_UNEXPLAINED * own + LEAST_UNEXPLAINED * known.coulomb
+    if error > most:
+        raise Refused(
+            f"{error:.2g} N RMS are unexplained in a motion that no fit used, {own:.2g} N in moves (at most {most:.2g})"
+        )
     return known
 
 
@@ -228,6 +257,7 @@ FITS: Mapping[str, Callable[[Signals, Plan, AxisConfig, Findings, Known], Known]
     "frequency": _frequency,
     "moves": _moves,
     "loops": _loops,
+    "check": _check,
 }
 
 

@@ -14,6 +14,7 @@ from hil.rig.measured_table import MeasuredConfig
 
 MODEL_KEYS = ("mass", "coulomb", "viscous", "torque_lag", "mode_frequency_hz", "mode_damping", "mode_load")
 DIGITS = 6
+NOT_CHECKED: Mapping[str, tuple[float, float]] = {}
 
 
 def model_values(found: Mapping[str, Estimate]) -> dict[str, Any]:
@@ -27,8 +28,16 @@ def model_values(found: Mapping[str, Estimate]) -> dict[str, Any]:
     return values
 
 
-def rig_text(source: Path, axes: Mapping[str, Mapping[str, Estimate]], date: str, evidence: str) -> str:
-    """The rig file with the identified values; all else, comments included, stays. date: of the measurement."""
+def rig_text(
+    source: Path,
+    axes: Mapping[str, Mapping[str, Estimate]],
+    date: str,
+    evidence: str,
+    checked: Mapping[str, tuple[float, float]] = NOT_CHECKED,
+) -> str:
+    """The rig file with the identified values; all else, comments included, stays. date: of the measurement. checked:
+    by axis, the force left unexplained in a motion that no fit used, and in one that was fitted, N RMS.
+    """
     document = tomlkit.parse(source.read_text(encoding="utf-8"))
     tables: Any = document["axes"]
     for name, found in axes.items():
@@ -45,6 +54,8 @@ def rig_text(source: Path, axes: Mapping[str, Mapping[str, Estimate]], date: str
             table.add(tomlkit.comment(f"before: {before}"))
         for key, both in measured_values(found).items():
             table[key] = both
+        if name in checked:
+            table["validation"] = [_rounded(error) for error in checked[name]]
         table["date"], table["evidence"] = date, evidence
         tables[name]["measured"] = table
     return tomlkit.dumps(document)

@@ -25,6 +25,9 @@ class MeasuredConfig(Table):
     mode_damping: Measured | None = key(None, f"damping ratio of that mode: {BOTH}", "1")
     mode_load: Measured | None = key(None, f"the tool's fraction of the moving mass: {BOTH}", "1")
     presliding: Measured | None = key(None, f"Coulomb friction over its stiffness at rest: {BOTH}", "m (rad)")
+    validation: Measured | None = key(
+        None, "force left unexplained, RMS, in a motion that no fit used, and in one that was fitted", "N (N m)"
+    )
     date: str = key("", "day of the measurement")
     evidence: str = key("", "recording or runs that it comes from, with hashes")
 

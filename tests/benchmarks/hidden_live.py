@@ -22,7 +22,7 @@ from hil.rig.shipped import by_name
 from hil.runs.api import load_run
 from hil.studies.evidence.stages import nominal, plant_of
 from sim_plant.config import PlantConfig
-from tests.benchmarks.hidden_stages import RIG, SWEPT, TOLD, Errors, truth_of_axis
+from tests.benchmarks.hidden_stages import RIG, SWEPT, TOLD, Errors, following, truth_of_axis
 
 STARTS, UNAVAILABLE = 6, 69
 ROOM = {"overrun_zero_s": 0.15, "overrun_streak": 150, "silent_stop_ticks": 100, "silent_zero_ticks": 150}
@@ -68,12 +68,12 @@ def compare(folder: Path, plant: PlantConfig, errors: Errors) -> None:
         truth = truth_of_axis(plant, name, number, SWEPT * axis.limits.position[1])
         one = {quantity: Estimate(**told) for quantity, told in found[name]["found"].items()}
         errors.add(f"{folder.name} {name}", one, found[name]["refused"], truth)
-    limits = np.array([axis.limits.following_error for axis in rig.axes.values()])
     shares, missing = [], []
     for kept in sorted((folder / "identified").glob("*/run.mcap")):
-        columns = load_run(kept).columns
-        shares.append(float(np.nanmax(np.abs(columns["following_error"]) / limits)))
-        missing.append(int(np.ptp(columns["index"])) + 1 - len(columns["index"]))
+        run = load_run(kept)
+        index = run.columns["index"]
+        shares.append(following(run))
+        missing.append(int(np.ptp(index)) + 1 - len(index))
     print(f"{folder.name}: following error up to {max(shares):.2f} of its limit, ticks lost {missing}", flush=True)
 
 

@@ -14,10 +14,11 @@ import numpy as np
 
 from hil.identify.estimate import Estimate
 from hil.identify.experiments import SWEEP_REACH
-from hil.identify.lockstep import identify
+from hil.identify.lockstep import Trial, identify, in_virtual_time
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from hil.rig.shipped import by_name
+from hil.runs.api import Run
 from hil.studies.evidence.stages import nominal, only, plant_of
 from sim_plant.config import PlantConfig
 
@@ -63,6 +64,7 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
     mean = _mean_sine(travel, of("friction_period"), of("friction_phase"))
     waves = [one for one in plant.cogging if one.axis == axis]
     pulled = sum(one.amplitude * _mean_sine(travel, one.period, one.phase) for one in waves)
+    local = of("coulomb") * (1.0 + of("friction_variation") * math.sin(of("friction_phase")))  # in the middle
     truth = {
         "mass": of("mass"),
         "torque_lag": of("torque_lag"),
@@ -70,6 +72,7 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
         "viscous": of("viscous"),
         "constant": -of("gravity") - of("bias") - pulled,
         "presliding": of("presliding"),
+        "stiffness": local / of("presliding"),
         "friction_variation": of("friction_variation"),
         "friction_period": of("friction_period"),
         "cogging_amplitude": waves[0].amplitude,
@@ -84,6 +87,12 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
 def _mean_sine(travel: float, period: float, phase: float) -> float:
     turn = 2.0 * math.pi * travel / period
     return math.sin(phase) * math.sin(turn) / turn
+
+
+def following(run: Run) -> float:
+    """Greatest following error of a run, over its limit."""
+    limits = np.array([axis.limits.following_error for axis in run.rig.axes.values()])
+    return float(np.nanmax(np.abs(run.columns["following_error"]) / limits))
 
 
 class Errors:
@@ -125,13 +134,24 @@ def main() -> None:
     parser.add_argument("--empty", action="store_true", help="begin with an empty model")
     parser.add_argument("--count", type=float, default=0.0, help="of the encoder, m (rad); 0: the rig file's")
     words = parser.parse_args()
-    errors = Errors()
+    errors, followed, faults = Errors(), list[float](), 0
     for number in range(words.first, words.first + words.stages):
         off = None if words.empty else words.off
         rig, truth = hidden(words.axis, words.seed, number, words.mode, off, words.count)
-        found = identify(rig, Path("."), [words.axis], lambda text: None)[words.axis]
+        shares: list[float] = []
+
+        def runner(trial: Trial, shares: list[float] = shares) -> tuple[Run, str]:
+            run, digest = in_virtual_time(trial)
+            shares.append(following(run))
+            return run, digest
+
+        found = identify(rig, Path("."), [words.axis], lambda text: None, runner=runner)[words.axis]
         errors.add(f"stage {number}", found.found, found.refused, truth)
+        followed.append(max(shares))
+        faults += bool(found.ended)
     errors.show()
+    middle, worst = np.median(followed), max(followed)
+    print(f"following error over its limit: median {middle:.2f}, worst {worst:.2f}; stages with a fault {faults}")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,46 @@
+"""The force that an axis needs for a motion, by what was identified of it: held against motions that no fit used."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.identify.estimate import Estimate
+from hil.identify.force_balance import LENGTHS, Balanced, Record, bristle
+from hil.identify.signals import Signals
+from hil.identify.travel_fit import TravelCurves
+
+STALL_TICKS = 301  # about an instant without samples
+MOVING = 0.1  # of the motion's greatest speed: at rest the force may be anything within friction
+
+
+class AxisForces(NamedTuple):
+    """mass: kg, viscous: N s/m, presliding: m, lag: s; travel: friction and force of each place."""
+
+    mass: float
+    viscous: float
+    presliding: float
+    lag: float
+    travel: TravelCurves
+
+    @classmethod
+    def of(
+        cls, found: Mapping[str, Estimate], travel: TravelCurves, mass: float, viscous: float, lag: float
+    ) -> "AxisForces":
+        """By what was found; mass, viscous and lag are for what was not."""
+        told = {name: one.value for name, one in found.items()}
+        length = told.get("presliding", float(LENGTHS[0]))
+        return cls(told.get("mass", mass), told.get("viscous", viscous), length, lag, travel)
+
+    def unexplained(self, of: Signals) -> float:
+        """Force that the motion took beyond this, N RMS over the time it moved; stalls of the computer left out."""
+        part = Balanced(Record(of.force, of.position, of.period, of.count, self.lag), None, None)
+        position = part.filtered(of.position)
+        friction = np.interp(position, self.travel.position, self.travel.friction)
+        place = np.interp(position, self.travel.position, self.travel.place)
+        state = part.filtered(bristle(part.path, self.presliding))
+        needed = self.mass * part.acceleration + self.viscous * part.velocity + friction * state + place
+        near = np.convolve(of.stalled, np.ones(STALL_TICKS), mode="same") > 0.5
+        counts = (np.abs(part.velocity) > MOVING * np.abs(part.velocity).max()) & ~near
+        counts[: part.inside.start] = counts[part.inside.stop :] = False
+        return float(np.sqrt(((part.force - needed)[counts] ** 2).mean()))
