@@ -136,7 +136,7 @@ def fit_axis(measured: Response, period: float, mass_guess: float) -> Axis:
     sigma = np.maximum(measured.deviation[good] / np.abs(g), FLOOR)
 
     def rest(q: Array, flexible: bool, data: Complex) -> Array:
-        with np.errstate(over="ignore", invalid="ignore"):  # the search may try what no axis is
+        with np.errstate(all="ignore"):  # the search may try what no axis is
             ratio = np.log(_dynamics(q, flexible).response(omega, period) / data)
         whole: Array = np.concatenate([ratio.real, ratio.imag]) / np.concatenate([sigma, sigma])
         return whole
@@ -179,7 +179,7 @@ def _seeds(frequency: Array, g: Complex, rigid: Array, period: float) -> list[Ar
     for hertz in np.geomspace(frequency[0] * 2.0, frequency[-1], GRID):
         for load in LOADS:
             q = np.array([rigid[0], 2e-4, 0.0, np.log(hertz), np.log(0.02), np.log(load / (0.95 - load))])
-            with np.errstate(over="ignore", invalid="ignore"):
+            with np.errstate(all="ignore"):
                 rest = np.log(_dynamics(q, True).response(omega, period)) - log_g
             q[0] += float(np.median(rest.real))
             size = np.hypot(rest.real - np.median(rest.real), np.angle(np.exp(1j * rest.imag)))

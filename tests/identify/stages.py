@@ -61,6 +61,7 @@ def record(
         forces.append(u)
         positions.append(measured)
         for _ in range(FINE):
+            before = v
             v += (u - friction.force(v, step) - viscous * v - constant) / mass * step
-            x += v * step
+            x += 0.5 * (before + v) * step
     return np.array(forces), np.array(positions)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.control.laws.base import Model
-from hil.identify.excitation import GROWING, Excitation, multisine_table, multisine_way
+from hil.identify.excitation import GROWING, Excitation, multisine_lines, multisine_table, multisine_way
 from tests.identify.stages import PERIOD, Bristle, record
 
 MASS, COULOMB, WEIGHT, FROM_S = 0.25, 0.2, 2.45, 1.5
@@ -72,3 +72,33 @@ def test_the_way_of_a_multisine_is_what_a_mass_in_the_loop_goes() -> None:
             x += v * PERIOD / 10
         way.append(x)
     assert float(np.std(way[2000:])) == pytest.approx(multisine_way(MASS), rel=0.05)
+
+
+@pytest.mark.parametrize("begins", [0.0, 5e-3])
+@pytest.mark.parametrize("held", [0.0, 0.9, -0.9])
+def test_a_push_finds_both_ends_of_friction_wherever_it_begins(begins: float, held: float) -> None:
+    """held: of Coulomb friction, what the axis rests on; the smallest triangle moves one that rests on an end."""
+    one = law(shape=GROWING, amplitude=0.01, from_s=0.0, until_s=9.0)
+    one.reset(begins, 0.0)  # the approach comes before the push
+    asked = at_rest(one)
+    force, position = record(
+        Bristle(COULOMB, 1e-6, 10.0), lambda t, x, v: asked(t, x, v) + held * COULOMB, 9.0, MASS, 1.2
+    )
+    ends = np.flatnonzero(np.abs(np.diff(force)) > 1e-3)
+    assert (force.max() - force.min()) / 2.0 == pytest.approx(1.1 * COULOMB, rel=0.25)
+    assert np.ptp(position) < 160e-6
+    assert ends[-1] < 8000, "it is over, and its force stays"
+
+
+def test_the_loop_is_stable_at_slow_rates() -> None:
+    slow = Excitation(Model(mass=MASS, coulomb=0.0, viscous=0.0, quadratic=0.0, gravity=0.0), 2.5e-3, 10.0)
+    passed = [slow._filtered(1.0) for _ in range(200)]
+    assert max(passed) < 1.2
+    assert passed[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("period", "last", "count"), [(1e-3, 398.0, 90), (5e-4, 398.0, 90), (2.5e-3, 80.0, 20)])
+def test_a_multisine_stays_well_below_half_of_the_rate(period: float, last: float, count: int) -> None:
+    lines = multisine_lines(period)
+    assert (len(lines), lines[-1] / 0.5) == (count, last)
+    assert np.diff(lines).min() >= 2

@@ -9,8 +9,9 @@ from hil.identify.experiments import EXPERIMENTS, ROW_S, Known, Plan, rig_docume
 from hil.identify.lockstep import Trial, from_run, identify
 from hil.rig.file import load_rig
 from hil.rig.shipped import by_name
-from hil.runs.api import Run, simulate
+from hil.runs.api import Recording, Run, load_run, simulate
 from hil.runs.rigs import Rig
+from hil.virtual.replay import code_of_recording
 from tests.identify import rigs
 
 
@@ -115,3 +116,15 @@ def test_all_experiments_identify_a_stage() -> None:
         ("viscous", rigs.VISCOUS, 0.15), ("presliding", rigs.LENGTH, 0.2),
     ):  # fmt: skip
         assert found[name].value == pytest.approx(truth, rel=within), name
+
+
+def test_a_recording_of_an_experiment_replays_without_asking(tmp_path: Path) -> None:
+    rig = rigs.one_axis().config
+    plan = EXPERIMENTS["push"](rig.axes["x"], Known(rigs.MASS), 0.3)
+    document, _ = rig_document(rig, "x", plan, 0.3)
+    run = simulate(Rig.build(document), 1.5, record=tmp_path / "run.mcap")
+    recorded = load_run(tmp_path)
+    assert isinstance(recorded, Recording)
+    assert recorded.exact, "the law of the experiments is ours"
+    assert np.array_equal(recorded.columns["force"], run.columns["force"])
+    assert code_of_recording(tmp_path / "run.mcap") == []

@@ -61,6 +61,40 @@ def test_a_period_beyond_the_travel_is_not_told() -> None:
     assert fit.found["coulomb"].value == pytest.approx(COULOMB, rel=0.005)
 
 
+def test_two_long_periods_are_told_apart() -> None:
+    """One after the other, the first was fitted to both, and the second to what was left."""
+    passes = []
+    for speed in SPEEDS:
+        plain, way = one(speed, waves=False), math.copysign(1.0, speed)
+        x = plain.position
+        friction = 0.05 * way * np.sin(2.0 * math.pi * x / 0.0195 + 3.5)
+        passes.append(plain._replace(force=plain.force + friction + 0.02 * np.sin(2.0 * math.pi * x / 0.024 + 2.0)))
+    found = travel_fit(passes, PERIOD, 0.9).found
+    assert found["friction_period"].value == pytest.approx(0.0195, rel=0.01)
+    assert found["cogging_period"].value == pytest.approx(0.024, rel=0.02)
+    assert found["cogging_amplitude"].value == pytest.approx(0.02, rel=0.05)
+
+
+def test_places_passed_in_a_stall_do_not_count() -> None:
+    passes = [one(speed, waves=False) for speed in SPEEDS]
+    force = passes[0].force.copy()
+    force[1500:1600] += 2.0  # what a loop does that was blind for a while
+    stalled = passes[0]._replace(force=force, stalled=[1500, 1501, 1502])
+    found = travel_fit([stalled, *passes[1:]], PERIOD, 0.9).found
+    assert found["coulomb"].value == pytest.approx(COULOMB, rel=1e-3)
+    with pytest.raises(Refused, match="left unexplained"):
+        travel_fit([stalled._replace(stalled=()), *passes[1:]], PERIOD, 0.9)
+
+
+def test_forces_that_frames_round_are_no_better_known_than_a_step() -> None:
+    passes = [one(speed, waves=False) for speed in SPEEDS]
+    fine, coarse = travel_fit(passes, PERIOD, 0.9), travel_fit(passes, PERIOD, 0.9, rounding=0.015)
+    assert fine.found["coulomb"].half_width < 0.002
+    assert coarse.found["coulomb"].half_width == pytest.approx(0.015, rel=0.05)
+    assert coarse.found["viscous"].half_width == pytest.approx(0.015 / 0.03, rel=0.05)
+    assert fine.found == travel_fit(passes, PERIOD, 0.9, rounding=1e-6).found, "noise carries the force over the steps"
+
+
 def test_a_pass_that_is_over_at_once_is_refused() -> None:
     short = one(0.04, waves=False)._replace(force=np.zeros(20), position=np.linspace(0.0, 8e-4, 20))
     with pytest.raises(Refused, match="at constant speed for"):

@@ -25,7 +25,9 @@ FOUND = {
 def test_what_is_written_is_a_rig_with_these_values(tmp_path: Path) -> None:
     source = by_name("rigs", Path("microscope"))
     made = tmp_path / "microscope.toml"
-    made.write_text(rig_text(source, {"x": FOUND}, "2026-01-01", "run.mcap sha256 0123"), encoding="utf-8")
+    made.write_text(
+        rig_text(source, {"x": FOUND}, "2026-01-01", "run.mcap sha256 0123", {"x": (0.01, 0.02)}), encoding="utf-8"
+    )
     before, after = load_rig(source), load_rig(made)
     model = after.axes["x"].model
     assert (model.mass, model.gravity) == (1.23457, 0.5)
@@ -37,6 +39,7 @@ def test_what_is_written_is_a_rig_with_these_values(tmp_path: Path) -> None:
     assert "run.mcap sha256 0123" in text
     measured = after.axes["x"].measured
     assert measured is not None
+    assert measured.validation == [0.01, 0.02]
     assert (measured.mass, measured.gravity, measured.viscous) == ([1.23457, 0.001], [0.5, 0.01], None)
     assert (measured.date, measured.evidence) == ("2026-01-01", "run.mcap sha256 0123")
     assert text.startswith(source.read_text(encoding="utf-8")[:200])
