@@ -1,4 +1,4 @@
-"""The experiments on a stage that no code of hil moves: the tests' integrator, with the law of the experiments around it."""
+"""The experiments on a stage that no code of hil moves: the tests' integrator, with the experiments' law around it."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -18,8 +18,8 @@ PERIOD_NS = round(PERIOD * 1e9)
 
 
 class ForeignStage:
-    """A Runner (hil/identify/lockstep.py) of one axis; its encoder, drive and clock are ideal. following: by experiment,
-    the greatest following error over its limit.
+    """A Runner (hil/identify/lockstep.py) of one axis; its encoder, drive and clock are ideal. following: by
+    experiment, the greatest following error over its limit.
     """
 
     def __init__(self, friction: Bristle | MaxwellSlip, mass: float, viscous: float, weight: float = 0.0) -> None:
