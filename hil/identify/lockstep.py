@@ -32,6 +32,7 @@ SPAN_SETTLE_S = 0.15  # left out of a pass at constant speed
 ROUGH_LAG = 2e-4  # s, until the frequency response has told it
 WEIGHED = 0.06  # of a mass that is found from accelerations, what no block shows: a coarse encoder hides where it turns
 MOST_UNEXPLAINED, LEAST_UNEXPLAINED = 2.0, 0.02  # of what moves leave; of Coulomb friction besides
+TOGETHER = 0.003  # of an axis' share of its travel, another that rests
 LEAST_LOOP = 3  # encoder counts, of the smaller loops
 FULL = 0.9  # of the largest triangle's range of force
 PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
@@ -121,7 +122,24 @@ def _identify_axis(
             findings.refused[experiment] = f"the run ended in {findings.ended}"
             break
         known = before[name] = _fitted(experiment, run, name, folder, plan, axis, findings, known)
+        if experiment == "moves" and (moved := _moved_together(run, name)):
+            findings.refused["together"] = moved
     return findings
+
+
+def _moved_together(run: Run, name: str) -> str:
+    """In words, which other axes moved as this one did; else "". As shares of their travels."""
+    shares = {
+        other: float(np.nanmax(np.abs(run.columns["following_error"][:, number]))) / np.ptp(axis.limits.position)
+        for number, (other, axis) in enumerate(run.rig.axes.items())
+    }
+    own = float(np.ptp(run.columns["position"][:, run.axes.index(name)])) / np.ptp(run.rig.axes[name].limits.position)
+    return "; ".join(
+        f"{other} was moved by {100 * share:.2g} % of its travel while {name} went {100 * own:.0f} % of its own "
+        f"(at most {100 * TOGETHER * own:.2g} %)"
+        for other, share in shares.items()
+        if other != name and share > TOGETHER * own
+    )
 
 
 def _fitted(

@@ -16,6 +16,7 @@ GRAVITY = 9.81  # m/s^2
 MOVE_SHARE, FORCE_SHARE, SPEED_SHARE = 0.1, 0.2, 0.5  # the first move: of the travel, the rated force, the speed limit
 LEAST_COUNTS_A_TICK, LEAST_COUNTS_OFF = 10, 100  # of an encoder that is coarse for the travel: the least limits
 JERK_FREE_SPEED, JERK_FREE_ACCELERATION = 1.875, 5.7735  # peaks of a minimum-jerk move over d / T and d / T^2
+BRAKE_OPENING_S = 0.05  # of small brakes, by their data sheets
 
 
 class AxisSketch(NamedTuple):
@@ -70,6 +71,8 @@ def rig_text(sketch: Sketch) -> str:
     """The rig file, TOML."""
     names = ", ".join(f'"{axis.name}"' for axis in sketch.axes)
     brake = ", ".join(str(axis.vertical).lower() for axis in sketch.axes)
+    opening = f"\nbrake_opening_s = {BRAKE_OPENING_S:g}  # longest; the weight's force stands before"
+    opening = opening if any(axis.vertical for axis in sketch.axes) else ""
     move = [_rounded(MOVE_SHARE * axis.travel) for axis in sketch.axes]
     added = sketch.of_family
     protocol = ":".join([sketch.layout, *sketch.files])
@@ -96,7 +99,7 @@ rate_hz = {sketch.rate_hz:g}
 # What the drives do by themselves, by their data sheet. Their watchdog must be switched on.
 [drives]
 watchdog_s = {sketch.watchdog_s:g}  # zero torque when no valid command came for this long
-brake = [{brake}]  # at zero torque the axis is held by a brake
+brake = [{brake}]  # at zero torque the axis is held by a brake{opening}
 
 [law]
 name = "pd-feedforward"  # its gains follow from mass and rate; `hil tune` finds better ones

@@ -13,6 +13,7 @@ from hil.runs.api import Recording, Run, load_run, simulate
 from hil.runs.rigs import Rig
 from hil.virtual.replay import code_of_recording
 from tests.identify import rigs
+from tests.support.paths import ROOT
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -128,3 +129,20 @@ def test_a_recording_of_an_experiment_replays_without_asking(tmp_path: Path) -> 
     assert recorded.exact, "the law of the experiments is ours"
     assert np.array_equal(recorded.columns["force"], run.columns["force"])
     assert code_of_recording(tmp_path / "run.mcap") == []
+
+
+@pytest.mark.long
+def test_axes_that_move_together_are_refused() -> None:
+    """Flexures that lean on each other: y is pulled off its place as x moves."""
+    stage = {"stage": "./leaning.py:Leaning", "parameters": {"stiffness": 200.0, "lean": 0.5}}
+    source = (ROOT / "examples/stages/leaning.py").read_text(encoding="utf-8")
+    document = rigs.one_axis().config.model_dump(mode="json")
+    document["axes"]["y"] = document["axes"]["x"]
+    alone = {"mass": [rigs.MASS] * 2, "coulomb": [0.1] * 2, "viscous": [rigs.VISCOUS] * 2}
+
+    def together(plant: dict[str, object]) -> str:
+        rig = Rig.build(document | {"plant": alone | plant}).config
+        return identify(rig, Path(), ["x"], lambda _: None, ["moves"])["x"].refused.get("together", "")
+
+    assert together({}) == ""
+    assert "y was moved by" in together(stage | {"source": source})

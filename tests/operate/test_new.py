@@ -110,6 +110,7 @@ def test_at_a_terminal_it_asks_for_what_no_flag_says(tmp_path: Path) -> None:
     }
     assert rig.axes["a"].model.gravity == 0.0
     assert abs(rig.axes["b"].model.gravity) > 19.0, "a weight that nobody was asked for would fall"
+    assert (rig.drives.brake, rig.drives.brake_opening_s) == ([False, True], 0.05)
     assert rig.axes["a"].limits.position == [-0.05, 0.05]
     assert b"Encoder resolution" in said
     assert b"layout" not in said.split(b"written")[0].lower()
