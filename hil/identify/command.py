@@ -13,7 +13,7 @@ from hil.cli.options import JsonTarget, Overrides, ReadRig, named_axes
 from hil.cli.output import drawable, write_json
 from hil.identify.estimate import Estimate
 from hil.identify.experiments import EXPERIMENTS
-from hil.identify.lockstep import Findings, from_run
+from hil.identify.findings import Findings, from_run
 from hil.identify.lockstep import identify as run_experiments
 from hil.identify.written import changes, model_values, rig_text
 from hil.rig.file import load_rig

@@ -3,39 +3,21 @@
 Nothing here reads [plant]: what is found comes from the forces and positions that a run of the real stage has, too.
 """
 
-import contextlib
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.analysis.flexible_plant import AxisDynamics
-from hil.identify.elements import friction_at_rest
-from hil.identify.estimate import Array, Estimate, Refused
-from hil.identify.excitation import PERIOD_S, multisine_lines
-from hil.identify.experiments import EXPERIMENTS, PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan, rig_document
-from hil.identify.force_balance import Record, balance
-from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
-from hil.identify.prediction import AxisForces
-from hil.identify.signals import Signals, signals
-from hil.identify.travel_fit import SpeedPass, TravelCurves, travel_fit
-from hil.rig.schema import AxisConfig, RigConfig
+from hil.identify.experiments import EXPERIMENTS, Known, Plan, rig_document
+from hil.identify.findings import Findings, fitted
+from hil.rig.schema import RigConfig
 from hil.runs.api import Run, simulate
 from hil.runs.rigs import Rig
 
 APPROACH_S = 1.0
 BEFORE_S, AFTER_S = 2.0, 0.5  # of a run, around its task: drives enable, the axis comes to rest
-SPAN_SETTLE_S = 0.15  # left out of a pass at constant speed
-ROUGH_LAG = 2e-4  # s, until the frequency response has told it
-WEIGHED = 0.06  # of a mass that is found from accelerations, what no block shows: a coarse encoder hides where it turns
-MOST_UNEXPLAINED, LEAST_UNEXPLAINED = 2.0, 0.02  # of what moves leave; of Coulomb friction besides
 TOGETHER = 0.003  # of an axis' share of its travel, another that rests
-LEAST_LOOP = 3  # encoder counts, of the smaller loops
-FULL = 0.9  # of the largest triangle's range of force
-PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
 
 Told = Callable[[str], None]
 
@@ -60,26 +42,6 @@ def in_virtual_time(trial: Trial) -> tuple[Run, str]:
     """The Runner of the emulated stage."""
     run = simulate(Rig.build(trial.document, trial.folder), trial.seconds + BEFORE_S + AFTER_S)
     return run, run.trace_sha256
-
-
-@dataclass
-class Findings:
-    """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment; ended: the faults
-    that ended the experiments, empty where none did. To look at: the frequency response with the axis fitted to it,
-    what the travel showed, and loops of position (m) and force (N). validation: force that is left unexplained, N RMS,
-    in a motion that no fit used and in `moves`.
-    """
-
-    found: dict[str, Estimate] = field(default_factory=dict)
-    refused: dict[str, str] = field(default_factory=dict)
-    evidence: dict[str, str] = field(default_factory=dict)
-    ended: str = ""
-    response: Response | None = None
-    dynamics: AxisDynamics | None = None
-    travel: TravelCurves | None = None
-    loops: tuple[Array, Array] | None = None
-    moved: Signals | None = None
-    validation: tuple[float, float] | None = None
 
 
 def identify(
@@ -121,7 +83,7 @@ def _identify_axis(
             findings.ended = ", ".join(faults)
             findings.refused[experiment] = f"the run ended in {findings.ended}"
             break
-        known = before[name] = _fitted(experiment, run, name, folder, plan, axis, findings, known)
+        known = before[name] = fitted(experiment, run, name, folder, plan, axis, findings, known)
         if experiment == "moves" and (moved := _moved_together(run, name)):
             findings.refused["together"] = moved
     return findings
@@ -140,156 +102,3 @@ def _moved_together(run: Run, name: str) -> str:
         for other, share in shares.items()
         if other != name and share > TOGETHER * own
     )
-
-
-def _fitted(
-    experiment: str, run: Run, name: str, folder: Path, plan: Plan, axis: AxisConfig, findings: Findings, known: Known
-) -> Known:
-    """Add what the experiment tells; what the next ones are to go by."""
-    try:
-        return FITS[experiment](signals(run, name, folder), plan, axis, findings, known)
-    except Refused as refused:
-        findings.refused[experiment] = refused.reason
-        return known
-
-
-def _push(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
-    """Only what the next experiments need: about mass and Coulomb friction, and the force that holds."""
-    part = of.cut(plan.gains["from_s"], plan.gains["until_s"])
-    force, position = of.force[part], of.position[part]
-    if not position.size:
-        raise Refused("the run ended before the push began")
-    if np.ptp(position) < plan.gains["excursion"]:
-        raise Refused(f"the axis moved {np.ptp(position):.2g} at {np.abs(force).max():.3g} N: is it free to move?")
-    triangles = _largest(force, round(1.0 / (plan.gains["frequency_hz"] * of.period)))
-    low, high = float(force[triangles].min()), float(force[triangles].max())
-    about = {"mass": known.mass, "constant": 0.5 * (low + high), "coulomb": 0.5 * (high - low) / PUSH_OVER_COULOMB}
-    with contextlib.suppress(Refused):  # of no single bristle: the size of the push is near enough for what follows
-        until = slice(0, triangles.stop)
-        record = Record(force[until], position[until], of.period, of.count, ROUGH_LAG, triangles.start)
-        found = balance([record], viscous=axis.model.viscous).found
-        about |= {name: found[name].value for name in about if name in found}
-    coulomb = about["coulomb"]
-    findings.found["push_coulomb"] = Estimate(coulomb, 0.25 * coulomb, "N")
-    return Known(about["mass"], about["constant"], coulomb)
-
-
-def _largest(force: Array, cycle: int) -> slice:
-    """The triangles of full size, and one cycle of rest behind them. cycle: ticks of a triangle."""
-    count = len(force) // cycle
-    sizes = np.ptp(force[: count * cycle].reshape(count, cycle), axis=1)
-    sizes[0] = 0.0  # the loop changes there
-    full = np.flatnonzero(sizes >= FULL * sizes.max())
-    return slice(int(full[0]) * cycle, (int(full[-1]) + 2) * cycle)
-
-
-def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
-    base = round(PERIOD_S / of.period)
-    passes = []
-    for number, (begin, _, speed) in enumerate(plan.spans):
-        first = of.cut(begin + SETTLE_S, begin).start
-        part = slice(first, first + PASS_PERIODS * base)
-        start = round(float(of.seconds[first]) / of.period)
-        sign = -1 if number // 2 % 2 else 1
-        if not of.stalled[part].any():
-            passes.append(Pass(of.step[part], of.late[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
-    findings.response = response_of(passes, of.period, multisine_lines(of.period), base)
-    fit = fit_axis(findings.response, of.period, known.mass)
-    findings.dynamics = fit.dynamics
-    findings.found |= {name: one for name, one in fit.found.items() if name != "viscous"}
-    findings.refused |= fit.refused
-    return replace(known, mass=fit.found["mass"].value)
-
-
-def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
-    passes = []
-    for begin, end, speed in plan.spans:
-        part = of.cut(begin + SPAN_SETTLE_S, end)
-        passes.append(SpeedPass(of.force[part], of.position[part], speed, np.flatnonzero(of.stalled[part]).tolist()))
-    if "mass" not in findings.found:
-        known = _weighed(of, plan, findings, known)
-    fit = travel_fit(passes, of.period, known.mass, _lag(findings), of.rounding)
-    findings.travel, findings.moved = fit.curves, of
-    findings.found |= fit.found
-    findings.refused |= fit.refused
-    return replace(known, coulomb=fit.found["coulomb"].value)
-
-
-def _weighed(of: Signals, plan: Plan, findings: Findings, known: Known) -> Known:
-    """The mass from the accelerations into and out of the passes, where there is no frequency response. At rest the
-    force may be anything within friction, so only the motion counts.
-    """
-    parts = [of.cut(begin - RAMP_S, end + RAMP_S) for begin, end, _ in plan.spans]
-    try:
-        fit = balance([Record(of.force[at], of.position[at], of.period, of.count, _lag(findings)) for at in parts])
-    except Refused as refused:
-        findings.refused["mass"] = refused.reason
-        return known
-    if "mass" not in fit.found:
-        findings.refused["mass"] = fit.refused["mass"]
-        return known
-    mass = fit.found["mass"]
-    findings.found["mass"] = mass._replace(half_width=math.hypot(mass.half_width, WEIGHED * mass.value))
-    return replace(known, mass=mass.value)
-
-
-def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
-    part = of.cut(plan.gains["from_s"], plan.gains["until_s"])
-    skip = round(1.0 / plan.gains["frequency_hz"] / of.period)
-    record = Record(of.force[part], of.position[part], of.period, of.count, _lag(findings), skip)
-    findings.loops = of.position[part][skip:], of.force[part][skip:]
-    small = of.position[part][len(of.position[part]) // 2 :]
-    if np.ptp(small) < LEAST_LOOP * of.count:
-        raise Refused(
-            f"below Coulomb friction the axis moves {np.ptp(small) / of.count:.0f} encoder counts (at least "
-            f"{LEAST_LOOP}): the encoder does not resolve its presliding"
-        )
-    viscous = findings.found["viscous"].value if "viscous" in findings.found else axis.model.viscous
-    found, refused = friction_at_rest(record, known.mass, viscous)
-    findings.found |= found
-    findings.refused |= refused
-    return known
-
-
-def _check(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
-    """How much of the force of another motion the findings explain."""
-    if findings.moved is None or findings.travel is None:
-        raise Refused("without the experiment moves there is nothing to check")
-    model = AxisForces.of(findings.found, findings.travel, known.mass, axis.model.viscous, _lag(findings))
-    error, own = model.unexplained(of), model.unexplained(findings.moved)
-    findings.validation = error, own
-    most = MOST_UNEXPLAINED * own + LEAST_UNEXPLAINED * known.coulomb
-    if error > most:
-        raise Refused(
-            f"{error:.2g} N RMS are unexplained in a motion that no fit used, {own:.2g} N in moves (at most {most:.2g})"
-        )
-    return known
-
-
-def _lag(findings: Findings) -> float:
-    return findings.found["torque_lag"].value if "torque_lag" in findings.found else ROUGH_LAG
-
-
-FITS: Mapping[str, Callable[[Signals, Plan, AxisConfig, Findings, Known], Known]] = {
-    "push": _push,
-    "frequency": _frequency,
-    "moves": _moves,
-    "loops": _loops,
-    "check": _check,
-}
-
-
-def from_run(run: Run, axis: str) -> Findings:
-    """What an ordinary run tells of an axis: the force balance of its task's motion."""
-    findings = Findings()
-    lag = run.rig.axes[axis].model.torque_lag
-    try:
-        of = signals(run, axis)
-        if not of.force.size:
-            raise Refused("no task ran")
-        fit = balance([Record(of.force, of.position, of.period, of.count, lag, round(0.2 / of.period))])
-    except Refused as refused:
-        findings.refused["force balance"] = refused.reason
-        return findings
-    findings.found, findings.refused = dict(fit.found), dict(fit.refused)
-    return findings

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from drivers.base.named_file import save_picture
 from hil.analysis.frequency_response import COLUMNS
 from hil.cli.pictures import STYLE, UNITS
-from hil.identify.lockstep import Findings
+from hil.identify.findings import Findings
 
 PANELS = 5
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.identify.lockstep import Findings, identify
+from hil.identify.findings import Findings
+from hil.identify.lockstep import identify
 from tests.identify import rigs
 from tests.identify.foreign_stage import ForeignStage
 from tests.identify.stages import Bristle, MaxwellSlip

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hil.identify.experiments import EXPERIMENTS, ROW_S, Known, Plan, rig_document
-from hil.identify.lockstep import Trial, from_run, identify
+from hil.identify.findings import from_run
+from hil.identify.lockstep import Trial, identify
 from hil.rig.file import load_rig
 from hil.rig.shipped import by_name
 from hil.runs.api import Recording, Run, load_run, simulate

@@ -7,8 +7,8 @@ import pytest
 from matplotlib.image import imread
 
 from hil.analysis.frequency_response import read_response
+from hil.identify.findings import Findings
 from hil.identify.frequency_fit import fit_axis, response_of
-from hil.identify.lockstep import Findings
 from hil.identify.report import identification_picture, write_responses
 from hil.identify.travel_fit import travel_fit
 from tests.identify.test_frequency_fit import BASE, LINES, PERIOD, passes
