@@ -12,7 +12,7 @@ from hil.identify.lockstep import APPROACH_S, Trial
 from hil.rig.schema import RigConfig
 from hil.runs.api import Run
 from hil.runs.rigs import Rig
-from tests.identify.stages import PERIOD, Bristle, MaxwellSlip, record
+from tests.identify.stages import PERIOD, Array, Bristle, MaxwellSlip, record
 
 PERIOD_NS = round(PERIOD * 1e9)
 
@@ -32,9 +32,9 @@ class ForeignStage:
         asked, n = _asked(law, way), round(trial.seconds / PERIOD)
         count = rig.axes[trial.axis].encoder_resolution
         force, position = record(self._friction, asked, n * PERIOD, self._mass, self._viscous, self._weight, count)
-        error = np.abs(position - way(np.arange(n) * PERIOD)[0]).max()
-        self.following[trial.experiment] = float(error / rig.axes[trial.axis].limits.following_error)
-        return _as_run(rig, trial.axis, force, position), "foreign"
+        error = position - way(np.arange(n) * PERIOD)[0]
+        self.following[trial.experiment] = float(np.abs(error).max() / rig.axes[trial.axis].limits.following_error)
+        return _as_run(rig, trial.axis, force, position, error), "foreign"
 
 
 def _law(rig: RigConfig, trial: Trial) -> Excitation:
@@ -72,13 +72,14 @@ def _asked(law: Excitation, way: Any) -> Any:
     return asked
 
 
-def _as_run(rig: RigConfig, axis: str, force: np.ndarray, position: np.ndarray) -> Run:
+def _as_run(rig: RigConfig, axis: str, force: Array, position: Array, error: Array) -> Run:
     """As a recording has it: the sample of a tick's command comes with the next tick."""
     ticks = np.arange(len(force) + 1)
     columns = {
         "index": ticks, "scheduled_ns": ticks * PERIOD_NS, "now_ns": ticks * PERIOD_NS, "task_ns": ticks * PERIOD_NS,
         "age_ticks": np.zeros((len(ticks), 1), np.int64), "force": np.append(force, force[-1])[:, None],
         "position": np.concatenate([position[:1], position])[:, None],
+        "following_error": np.concatenate([error[:1], error])[:, None],
         "stamp_ns": np.concatenate([[-PERIOD_NS], ticks[:-1] * PERIOD_NS])[:, None],
     }  # fmt: skip
     return cast("Run", SimpleNamespace(axes=[axis], rig=rig, columns=columns, summary=lambda: {"faults": []}))
