@@ -37,6 +37,7 @@ SWING_SHARE = 0.1  # of limits.oscillation, RMS that the multisine moves the axi
 TURN_S = 0.15  # at rest between passes: else the swings of one and the turn behind it count as an oscillation
 SETTLE_S = 0.3  # of a pass at speed, before its periods
 PASS_PERIODS, PASSES = 2, 12
+CHECK_SHARE = 0.2  # of limits.speed: friction that varies along the travel must not shake the loose loop
 CHECK_S, SHORT_MOVES, SHORT_SHARE, SHORT_S = 4.0, 4, 0.1, 0.3  # sine; number of moves, size over the sine's, s of each
 
 
@@ -142,7 +143,7 @@ def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
 def check(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     """What no other experiment does: a sine at 1 Hz that comes and goes, and short moves."""
     centre, half = middle(axis)
-    size = min(PASS_REACH * half, SPEED_SHARE * axis.limits.speed / (2.0 * math.pi))
+    size = min(PASS_REACH * half, CHECK_SHARE * axis.limits.speed / (2.0 * math.pi))
     seconds = np.arange(round(CHECK_S / ROW_S) + 1) * ROW_S
     grown = np.sin(0.5 * math.pi * np.clip(np.minimum(seconds, CHECK_S - seconds), 0.0, 1.0)) ** 2
     path = _Passes(centre, SPEED_SHARE * axis.limits.speed)

@@ -50,12 +50,10 @@ class Findings:
     validation: tuple[float, float] | None = None
 
 
-def fitted(
-    experiment: str, run: Run, name: str, folder: Path, plan: Plan, axis: AxisConfig, findings: Findings, known: Known
-) -> Known:
+def fitted(experiment: str, run: Run, name: str, folder: Path, plan: Plan, findings: Findings, known: Known) -> Known:
     """Add what the experiment's run tells; what the next ones are to go by. folder: where the rig's files are."""
     try:
-        return FITS[experiment](signals(run, name, folder), plan, axis, findings, known)
+        return FITS[experiment](signals(run, name, folder), plan, run.rig.axes[name], findings, known)
     except Refused as refused:
         findings.refused[experiment] = refused.reason
         return known

@@ -83,7 +83,7 @@ def _identify_axis(
             findings.ended = ", ".join(faults)
             findings.refused[experiment] = f"the run ended in {findings.ended}"
             break
-        known = before[name] = fitted(experiment, run, name, folder, plan, axis, findings, known)
+        known = before[name] = fitted(experiment, run, name, folder, plan, findings, known)
         if experiment == "moves" and (moved := _moved_together(run, name)):
             findings.refused["together"] = moved
     return findings
