@@ -4,8 +4,8 @@ Rules:
 - Each experiment is a run of its own: control process and sidecar are started for it, as an operator would start them.
   Gate, fault detectors, stop line and recorder are those of every other run; `hil estop NAME` stops it.
 - On a rig nothing moves before the operator has agreed to the experiment's way, speed, force and time.
-- An experiment that came to its end is kept, and is not run again for the same rig and plan. One that lost too many
-  ticks to be fitted is not kept.
+- An experiment that came to its end is kept, and is not run again for the same rig and plan. One that ended in a
+  fault, or lost too many ticks to be fitted, is not kept: the next start runs it again.
 - Where this computer held up an emulated stage, the experiment is tried again. On a rig that is the operator's to
   decide.
 """
@@ -98,7 +98,7 @@ class LiveExperiments:
             raise LiveError(f"{where}: {stage.troubles[0] if stage.troubles else 'nothing was recorded'}")
         if not stage.troubles and (missing := too_many_lost(run)):
             raise TooBusyError(f"{where}: {missing}")
-        if not stage.troubles:
+        if not stage.troubles and not run.summary()["faults"]:
             shutil.rmtree(kept, ignore_errors=True)
             begun = begun.replace(kept)
         return run, _digest(begun)

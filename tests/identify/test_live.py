@@ -3,10 +3,13 @@
 import io
 import signal
 from pathlib import Path
+from typing import ClassVar
 
+import numpy as np
 import pytest
 from rich.console import Console
 
+from hil.cycle.fault_table import Fault
 from hil.identify import live
 from hil.identify.experiments import EXPERIMENTS, Known, rig_document
 from hil.identify.live import LiveError, LiveExperiments, live_document, live_runtime
@@ -64,36 +67,62 @@ def test_an_experiment_that_was_recorded_is_not_run_again_for_the_same_rig_and_p
     assert len(asked) == 1
 
 
+class Short:
+    """A demo that records 50 ms in virtual time."""
+
+    busy, troubles = "", list[str]()
+    starts: ClassVar[list[Path]] = []
+
+    def __init__(self, scene: Scene, *_: object, **__: object) -> None:
+        self._scene = scene
+
+    def run(self, _: float) -> None:
+        self.starts.append(self._scene.out)
+        simulate(Rig.build(self._scene.rig.model_dump(mode="json")), 0.05, record=self._scene.out / "run.mcap")
+
+
+@pytest.fixture
+def starts(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    monkeypatch.setattr(live, "Demo", Short)
+    monkeypatch.setattr(Short, "starts", [])
+    return Short.starts
+
+
 @pytest.mark.replaces_methods
 @pytest.mark.usefixtures("no_signals")
 def test_an_experiment_that_lost_too_many_ticks_is_tried_again_and_not_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, starts: list[Path]
 ) -> None:
-    starts: list[Path] = []
-
-    class Holed:
-        """A demo whose recording misses every other tick."""
-
-        busy, troubles = "", list[str]()
-
-        def __init__(self, scene: Scene, *_: object, **__: object) -> None:
-            self._scene = scene
-
-        def run(self, _: float) -> None:
-            starts.append(self._scene.out)
-            simulate(Rig.build(self._scene.rig.model_dump(mode="json")), 0.05, record=self._scene.out / "run.mcap")
-
     def holed(folder: Path) -> Run:
         run = load_run(folder)
         run.columns = {name: column[::2] for name, column in run.columns.items()}
         return run
 
-    monkeypatch.setattr(live, "Demo", Holed)
     monkeypatch.setattr(live, "load_run", holed)
     with pytest.raises(LiveError, match=r"x, push: \d+ of \d+ ticks are missing; limit 0\.5 %"):
         experiments(tmp_path, [])(a_push("local", tmp_path))
     assert len(starts) == live.TRIES
     assert [path.name for path in tmp_path.iterdir()] == ["x-push.part"]
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.usefixtures("no_signals")
+def test_an_experiment_that_ended_in_a_fault_runs_again_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, starts: list[Path]
+) -> None:
+    def faulty(folder: Path) -> Run:
+        run = load_run(folder)
+        run.columns["fault"] = np.full_like(run.columns["fault"], int(Fault.RECEIVE_FLOOD))
+        return run
+
+    trial = a_push("local", tmp_path)
+    monkeypatch.setattr(live, "load_run", faulty)
+    assert experiments(tmp_path, [])(trial)[0].summary()["faults"] == ["RECEIVE_FLOOD"]
+    assert [path.name for path in tmp_path.iterdir()] == ["x-push.part"]
+    monkeypatch.setattr(live, "load_run", load_run)
+    assert experiments(tmp_path, [])(trial)[0].summary()["faults"] == []
+    assert len(starts) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["x-push"]
 
 
 @pytest.mark.live
