@@ -14,6 +14,7 @@ from hil.control.estimator.gains import design_gains
 from hil.control.laws.base import AxisLaws, LawInputs
 from hil.control.trajectories.displaced import Displaced
 from hil.cycle.limits import axis_limits
+from hil.rig.bus_load import feedback_ns
 from hil.rig.layout import host_layout
 from hil.studies.fault_campaign.trial import Step, axis_name, once
 from hil.virtual.lockstep import LockstepRun
@@ -179,15 +180,29 @@ def disbelieve(run: LockstepRun, axis: int, k: int) -> None:
     """The axis' filter expects each sample twice the limit beside where it is, to and fro. Its state is set so that its
     correction brings velocity and disturbance back to what they were: nothing else is to be seen of it.
     """
-    motion, period = run.cycle.filters[axis], run.rig.period_ns * 1e-9
+    motion, interval = run.cycle.filters[axis], _next_interval(run, axis) * 1e-9
+    longer = interval * 1e9 / run.rig.period_ns
+    stretch = longer if 2.0 * longer > 3.0 else 1.0  # as hil/cycle/sampling.py tells the filter
     error = (-1) ** k * 2.0 * run.cycle.axes.innovation_limit[axis]
     _, velocity_gain, disturbance_gain = design_gains(run.rig)[0][:, axis].tolist()
     mass = run.cycle.axes.models[axis].mass
-    slowed = disturbance_gain * error * period / mass  # m/s, by the disturbance, in a period
-    faster = velocity_gain * error + slowed
-    motion.position += error - faster * period + 0.5 * slowed * period
+    slowed = disturbance_gain * error / stretch**2 * interval / mass  # m/s, by the disturbance, in an interval
+    faster = velocity_gain * error / stretch + slowed
+    motion.position += error - faster * interval + 0.5 * slowed * interval
     motion.velocity += faster
-    motion.disturbance += disturbance_gain * error
+    motion.disturbance += disturbance_gain * error / stretch**2
+
+
+def _next_interval(run: LockstepRun, axis: int) -> int:
+    """From the axis' last sample to the next one, ns. Drives that send in their own time, which does not divide the
+    rig's period, send once or more often between two ticks; the latest that arrives in time counts.
+    """
+    period, feedback = run.rig.period_ns, feedback_ns(run.cycle.protocol)
+    if not feedback or period % feedback == 0:
+        return period
+    sampled = run.cycle.sampling.clocks[axis].instant
+    on_the_way = run.cycle.inbox.received_ns[axis] - sampled
+    return max(1, (run.index * period - sampled - on_the_way) // feedback) * feedback
 
 
 def bend(position_widths: float, speeds: float) -> Step:
