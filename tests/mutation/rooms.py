@@ -83,6 +83,7 @@ ROOMS = {
     "stability": Room(
         ("hil/analysis",),
         ("tests/analysis/test_stability.py", "tests/analysis/test_measures.py", "tests/analysis/test_feasibility.py",
+         "tests/analysis/test_figures_of_merit.py",
          "tests/analysis/test_restoring.py", "tests/analysis/test_corner_dynamics.py",
          "tests/analysis/test_loop_corners.py", "tests/rig/test_checks.py",
          "tests/analysis/test_start_ranges.py", "tests/analysis/test_learning_check.py",

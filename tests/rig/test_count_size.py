@@ -50,10 +50,12 @@ def test_a_gear_with_friction_and_an_encoder_on_the_axis_are_right(
         ("robstride", "axes.x.encoder_resolution", 1e-4, "2/65535 of bus.mit.position = 12.57"),
         ("damiao", "axes.y.gear", 6.0, "axes.y: encoder_resolution = 0.000381476 rad, gear = 6"),
         ("moteus", "axes.x.gear", 1.0, "encoder_resolution has to be 6.28319e-05 m"),
+        ("moteus", "axes.x.gear", 1.0, "a count of the drive is 6.28319e-05 rad (1/100000 of a turn)"),
         ("moteus", "axes.x.gear", 700.0, "gear has to be 628.319, or less by friction (at least 125.7)"),
         ("moteus", "axes.x.gear", 120.0, "gear has to be 628.319"),
         ("odrive", "axes.x.encoder_resolution", 1e-6, "Get_Encoder_Estimates0.Pos_Estimate is in rev"),
         ("paper-dbc", "bus.dbc.position.0.scale", 1e3, "is in um, bus.dbc.position has scale = 1000"),
+        ("paper-dbc", "bus.dbc.position.0.scale", 1e3, "a count of the drive is 1e-09 m (MotorFeedbackA"),
         # what the DBC file says of nodes and forces
         ("odrive", "bus.dbc.torque.1.scale", 1e-3, "Set_Input_Torque1.Input_Torque is in N m, so its scale is 1"),
         ("odrive", "bus.dbc.status.0.message", "Heartbeat1", "status[0]: Heartbeat1 belongs to the drive of pos"),
