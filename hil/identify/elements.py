@@ -84,9 +84,11 @@ def _told(limits: Array, lengths: Array) -> Array:
     return np.array([whole, float((limits / lengths).sum()), length])
 
 
-def friction_at_rest(record: Record, mass: float, viscous: float) -> tuple[dict[str, Estimate], dict[str, str]]:
+def friction_at_rest(
+    record: Record, mass: float, viscous: float
+) -> tuple[dict[str, Estimate], dict[str, str], Elements | None]:
     """Presliding and stiffness at rest by quantity, and what was refused: of one bristle or of slip elements, whichever
-    explains the loops better. Raises Refused.
+    explains the loops better; with these elements. Raises Refused.
     """
     bristle: Balance | None = None
     elements: Elements | None = None
@@ -100,12 +102,12 @@ def friction_at_rest(record: Record, mass: float, viscous: float) -> tuple[dict[
     except Refused as refused:
         why = why or refused.reason
     if elements is not None and (bristle is None or elements.unexplained < bristle.unexplained):
-        return {"presliding": elements.presliding, "stiffness": elements.stiffness}, {}
+        return {"presliding": elements.presliding, "stiffness": elements.stiffness}, {}, elements
     if bristle is None:
         raise Refused(why)
     if "presliding" not in bristle.found or "coulomb" not in bristle.found:
-        return {}, {"presliding": bristle.refused.get("presliding", bristle.refused.get("coulomb", ""))}
+        return {}, {"presliding": bristle.refused.get("presliding", bristle.refused.get("coulomb", ""))}, None
     length, friction = bristle.found["presliding"], bristle.found["coulomb"]
     share = math.hypot(length.half_width / length.value, friction.half_width / friction.value)
     stiffness = friction.value / length.value
-    return {"presliding": length, "stiffness": Estimate(stiffness, share * stiffness, "N/m")}, {}
+    return {"presliding": length, "stiffness": Estimate(stiffness, share * stiffness, "N/m")}, {}, None

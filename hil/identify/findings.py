@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.analysis.flexible_plant import AxisDynamics
-from hil.identify.elements import friction_at_rest
+from hil.identify.elements import Elements, friction_at_rest
 from hil.identify.estimate import Array, Estimate, Refused
 from hil.identify.excitation import PERIOD_S, multisine_lines
 from hil.identify.experiments import PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan
@@ -47,6 +47,7 @@ class Findings:
     travel: TravelCurves | None = None
     loops: tuple[Array, Array] | None = None
     moved: Signals | None = None
+    elements: Elements | None = None
     validation: tuple[float, float] | None = None
 
 
@@ -151,7 +152,7 @@ def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
             f"{LEAST_LOOP}): the encoder does not resolve its presliding"
         )
     viscous = findings.found["viscous"].value if "viscous" in findings.found else axis.model.viscous
-    found, refused = friction_at_rest(record, known.mass, viscous)
+    found, refused, findings.elements = friction_at_rest(record, known.mass, viscous)
     findings.found |= found
     findings.refused |= refused
     return known
@@ -161,7 +162,9 @@ def _check(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     """How much of the force of another motion the findings explain."""
     if findings.moved is None or findings.travel is None:
         raise Refused("without the experiment moves there is nothing to check")
-    model = AxisForces.of(findings.found, findings.travel, known.mass, axis.model.viscous, _lag(findings))
+    model = AxisForces.of(
+        findings.found, findings.travel, known.mass, axis.model.viscous, _lag(findings), findings.elements
+    )
     error, own = model.unexplained(of), model.unexplained(findings.moved)
     findings.validation = error, own
     most = MOST_UNEXPLAINED * own + LEAST_UNEXPLAINED * known.coulomb

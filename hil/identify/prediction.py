@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.identify.estimate import Estimate
+from hil.identify.elements import Elements, slipping
+from hil.identify.estimate import Array, Estimate
 from hil.identify.force_balance import LENGTHS, Balanced, Record, bristle
 from hil.identify.signals import Signals
 from hil.identify.travel_fit import TravelCurves
@@ -22,15 +23,30 @@ class AxisForces(NamedTuple):
     presliding: float
     lag: float
     travel: TravelCurves
+    elements: Elements | None = None
 
     @classmethod
     def of(
-        cls, found: Mapping[str, Estimate], travel: TravelCurves, mass: float, viscous: float, lag: float
+        cls,
+        found: Mapping[str, Estimate],
+        travel: TravelCurves,
+        mass: float,
+        viscous: float,
+        lag: float,
+        elements: Elements | None = None,
     ) -> "AxisForces":
         """By what was found; mass, viscous and lag are for what was not."""
         told = {name: one.value for name, one in found.items()}
         length = told.get("presliding", float(LENGTHS[0]))
-        return cls(told.get("mass", mass), told.get("viscous", viscous), length, lag, travel)
+        return cls(told.get("mass", mass), told.get("viscous", viscous), length, lag, travel, elements)
+
+    def _turned(self, path: Array) -> Array:
+        """Friction over Coulomb friction along a path."""
+        if self.elements is None:
+            return bristle(path, self.presliding)
+        limits = self.elements.limits
+        turned: Array = limits @ slipping(path, self.elements.lengths) / limits.sum()
+        return turned
 
     def unexplained(self, of: Signals) -> float:
         """Force that the motion took beyond this, N RMS over the time it moved; stalls of the computer left out."""
@@ -38,7 +54,7 @@ class AxisForces(NamedTuple):
         position = part.filtered(of.position)
         friction = np.interp(position, self.travel.position, self.travel.friction)
         place = np.interp(position, self.travel.position, self.travel.place)
-        state = part.filtered(bristle(part.path, self.presliding))
+        state = part.filtered(self._turned(part.path))
         needed = self.mass * part.acceleration + self.viscous * part.velocity + friction * state + place
         near = np.convolve(of.stalled, np.ones(STALL_TICKS), mode="same") > 0.5
         counts = (np.abs(part.velocity) > MOVING * np.abs(part.velocity).max()) & ~near

@@ -25,14 +25,14 @@ def test_a_maxwell_slip_stage_shows_its_friction_and_stiffness(shortest: float, 
     found = fit_elements(stage, MASS, VISCOUS)
     assert found.coulomb.value == pytest.approx(COULOMB, rel=0.02)
     assert found.stiffness.value == pytest.approx(float((limits / lengths).sum()), rel=0.2)
-    told, refused = friction_at_rest(stage, MASS, VISCOUS)
+    told, refused, _ = friction_at_rest(stage, MASS, VISCOUS)
     assert refused == {}
     assert told["stiffness"] == found.stiffness, "one bristle leaves more of the force"
 
 
 @pytest.mark.long
 def test_a_stage_of_one_bristle_stays_one() -> None:
-    told, refused = friction_at_rest(loops(Bristle(COULOMB, 5e-6, 30.0)), MASS, VISCOUS)
+    told, refused, _ = friction_at_rest(loops(Bristle(COULOMB, 5e-6, 30.0)), MASS, VISCOUS)
     assert refused == {}
     assert told["presliding"].value == pytest.approx(5e-6, rel=0.1)
     assert told["stiffness"].value == pytest.approx(COULOMB / 5e-6, rel=0.1)
