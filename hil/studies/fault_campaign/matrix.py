@@ -129,6 +129,7 @@ class Watch:
 
     detected: a fault latched. zero: from then on no drive applies a force. left: from then on the state permits no
     torque. released: from then on no drive is enabled, nor applies a force. peak: greatest force after the detection.
+    unasked: ticks before brakes are open, in which nobody asks the law.
     """
 
     def __init__(self, run: CampaignRun) -> None:
@@ -136,6 +137,7 @@ class Watch:
         self._before = run.cycle.fault
         self.detected = self.zero = self.left = self.released = -1
         self.peak = 0.0
+        self.unasked = max(run.cycle.supervisor.opening, 0)
 
     def look(self, k: int) -> None:
         """After tick `k`."""
@@ -178,6 +180,7 @@ def failure(trial: Trial, began: State, due: tuple[Fault, ...], run: CampaignRun
         return f"latched {fault.name}, but this is {exactly.name}"
     within = trial.allowed(fault, run.rig) + (state_ticks(run) if ROWS[fault].told_by_drives else 0)
     within += answer_ticks(run, began) if fault is Fault.RECEIVE_FLOOD else 0
+    within += seen.unasked if trial.law else 0
     if due and seen.detected > within:
         return f"{fault.name} detected after {seen.detected} ticks, allowed {within}"
     if due and REACTIONS[fault] < trial.demand:
