@@ -75,14 +75,19 @@ class AxisDynamics(NamedTuple):
         step = exponential(whole * period)
         return step[:_STATES, :_STATES], step[:_STATES, _STATES]
 
-    def response(self, omega: Array, period: float) -> NDArray[np.complex128]:
-        """Motor position over force, m/N, at `omega` (rad/s, (k,)), sampled, with the hold: complex (k,)."""
+    def response(self, omega: Array, period: float, delay: float = 0.0) -> NDArray[np.complex128]:
+        """Motor position over force, m/N, at `omega` (rad/s, (k,)), sampled, with the hold: complex (k,).
+
+        delay: s, between the force and what is told of the position, besides the lag; any sign. A part of a period
+        shifts the samples (modified z-transform: Jury, Theory and Application of the z-Transform Method, 1964).
+        """
         a, b = self.step_matrices(period)
         z = np.exp(1j * omega * period)
         shifted = z[:, None, None] * np.eye(_STATES) - a
-        answer: NDArray[np.complex128] = np.linalg.solve(shifted, np.broadcast_to(b[:, None], (z.size, _STATES, 1)))[
-            :, _MOTOR, 0
-        ]
+        state = np.linalg.solve(shifted, np.broadcast_to(b[:, None], (z.size, _STATES, 1)))[..., 0]
+        ticks = np.ceil(delay / period)
+        on, driven = self.step_matrices(ticks * period - delay)
+        answer: NDArray[np.complex128] = (state @ on[_MOTOR] + driven[_MOTOR]) * z**-ticks
         return answer
 
 

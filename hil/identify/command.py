@@ -114,7 +114,7 @@ def _report(
     try:
         if picture:
             kinds = {name: axis.kind for name, axis in rig.axes.items()}
-            identification_picture(picture, findings, kinds, rig.period_ns * 1e-9)
+            identification_picture(picture, findings, kinds)
             say(f"picture: {picture}")
         for name, path in (write_responses(folder, findings) if folder else {}).items():
             say(f"{name}: frequency response in {path}; next: hil check {file} --measured {name}={path}")

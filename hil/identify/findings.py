@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.analysis.flexible_plant import AxisDynamics
 from hil.identify.elements import Elements, friction_at_rest
 from hil.identify.estimate import Array, Estimate, Refused
 from hil.identify.excitation import PERIOD_S, multisine_lines
 from hil.identify.experiments import PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan
 from hil.identify.force_balance import Record, balance
-from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
+from hil.identify.frequency_fit import Complex, Pass, Response, fit_axis, response_of
+from hil.identify.places import SpeedPass
 from hil.identify.prediction import AxisForces
 from hil.identify.signals import Signals, signals
-from hil.identify.travel_fit import SpeedPass, TravelCurves, travel_fit
+from hil.identify.travel_fit import TravelCurves, travel_fit
 from hil.rig.schema import AxisConfig
 from hil.runs.api import Run
 
@@ -33,7 +33,7 @@ PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
 @dataclass
 class Findings:
     """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment; ended: the faults
-    that ended the experiments, empty where none did. To look at: the frequency response with the axis fitted to it,
+    that ended the experiments, empty where none did. To look at: the frequency response, that of the axis fitted to it,
     what the travel showed, and loops of position (m) and force (N). validation: force that is left unexplained, N RMS,
     in a motion that no fit used and in `moves`.
     """
@@ -43,7 +43,7 @@ class Findings:
     evidence: dict[str, str] = field(default_factory=dict)
     ended: str = ""
     response: Response | None = None
-    dynamics: AxisDynamics | None = None
+    fitted: Complex | None = None
     travel: TravelCurves | None = None
     loops: tuple[Array, Array] | None = None
     moved: Signals | None = None
@@ -102,7 +102,7 @@ def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, kn
             passes.append(Pass(of.step[part], of.late[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
     findings.response = response_of(passes, of.period, multisine_lines(of.period), base)
     fit = fit_axis(findings.response, of.period, known.mass)
-    findings.dynamics = fit.dynamics
+    findings.fitted = fit.response
     findings.found |= {name: one for name, one in fit.found.items() if name != "viscous"}
     findings.refused |= fit.refused
     return replace(known, mass=fit.found["mass"].value)
@@ -119,6 +119,12 @@ def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     findings.travel, findings.moved = fit.curves, of
     findings.found |= fit.found
     findings.refused |= fit.refused
+    drift, most = fit.found.get("position_drift"), plan.gains["excursion"]
+    if drift and abs(drift.value) - drift.half_width > most:
+        findings.refused["position_drift"] = (
+            f"positions shifted by {drift.value:.2g} between the first pass and the last (at most {most:.2g}): "
+            "does the scale slip, or does something grow warm?"
+        )
     return replace(known, coulomb=fit.found["coulomb"].value)
 
 

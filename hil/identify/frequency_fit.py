@@ -21,8 +21,13 @@ LEAST_COHERENCE = 0.9
 LEAST_LINES = 15
 WORST_CHI2 = 20.0
 FLOOR = 2e-3  # least deviation of a line assumed, relative
-# What no pass shows: mass and mode by their share, the lag by the rounding of forces and stamps (s), viscous N s/m.
-SYSTEMATIC = np.array([2e-4, 1.2e-6, 0.0, 2e-4, 1e-3, 1e-3])
+# Of an axis' parameters q: log mass, lag and delay together (s), viscous (N s/m), delay; of a mode log Hz, log damping
+# and the logit of its load. STEPS: of the search. SYSTEMATIC: what no pass shows, of times by the rounding of forces
+# and stamps.
+DELAY, RIGID = 3, 4
+STEPS = np.array([0.1, 1e-4, 1.0, 1e-5, 0.1, 0.5, 0.5])
+SYSTEMATIC = np.array([2e-4, 1.2e-6, 0.0, 1.2e-6, 2e-4, 1e-3, 1e-3])
+LEAST_DELAY = 3e-6  # s, that is told apart from the lag
 MODE_GAIN = 4.0  # by which a mode must lower chi^2 to be told
 SEEDS = 3
 GRID, LOADS = 60, (0.1, 0.3, 0.6)
@@ -55,11 +60,11 @@ class Response(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """An axis fitted to a response; `chi2` is per degree of freedom."""
+    """An axis fitted to a response; response: of that axis at all the lines, (k,); `chi2` is per degree of freedom."""
 
     found: dict[str, Estimate]
     refused: dict[str, str]
-    dynamics: AxisDynamics
+    response: Complex
     chi2: float
 
 
@@ -115,16 +120,68 @@ def _of_steps(values: Array, late: Array, angles: Array) -> Complex:
     return spectrum
 
 
-def _dynamics(q: Array, flexible: bool) -> AxisDynamics:
-    mass, lag, viscous = float(np.exp(q[0])), float(abs(q[1])) + 1e-7, float(q[2])
-    if not flexible:
+def _dynamics(q: Array) -> AxisDynamics:
+    mass, lag, viscous = float(np.exp(q[0])), float(abs(q[1] - q[DELAY])) + 1e-7, float(q[2])
+    if q.size == RIGID:
         return AxisDynamics(mass, lag, viscous=viscous)
-    load = float(0.95 / (1.0 + np.exp(-q[5])))
-    return AxisDynamics(mass, lag, float(np.exp(q[3])), float(np.exp(q[4])), load, viscous)
+    hertz, damping, load = np.exp(q[RIGID]), np.exp(q[RIGID + 1]), 0.95 / (1.0 + np.exp(-q[RIGID + 2]))
+    return AxisDynamics(mass, lag, float(hertz), float(damping), float(load), viscous)
+
+
+class _Fit(NamedTuple):
+    q: Array
+    chi2: float
+    jacobian: Array
+
+
+class _Lines(NamedTuple):
+    """Those that count: omega (rad/s), response, its deviation (relative), the response by each pair of passes."""
+
+    omega: Array
+    response: Complex
+    sigma: Array
+    passes: Complex
+    period: float
+
+    def rest(self, q: Array, data: Complex) -> Array:
+        """What q leaves of a response, in log magnitude and phase, over the deviation."""
+        with np.errstate(all="ignore"):  # the search may try what no axis is
+            ratio = np.log(_dynamics(q).response(self.omega, self.period, float(q[DELAY])) / data)
+        whole: Array = np.concatenate([ratio.real, ratio.imag]) / np.concatenate([self.sigma, self.sigma])
+        return whole
+
+    def fit(self, start: Array, *, delayed: bool = False) -> _Fit:
+        """From there; the delay is searched, too, where `delayed`."""
+        free = np.flatnonzero(delayed | (np.arange(start.size) != DELAY))
+        scale = STEPS[free]
+
+        def placed(values: Array) -> Array:
+            q = start.copy()
+            q[free] = values * scale
+            return q
+
+        done = least_squares(
+            lambda values: self.rest(placed(values), self.response), start[free] / scale, max_nfev=80, x_scale="jac"
+        )
+        jacobian = np.zeros((done.fun.size, start.size))
+        jacobian[:, free] = done.jac / scale
+        return _Fit(placed(done.x), 2.0 * float(done.cost) / (done.fun.size - free.size), jacobian)
+
+    def half_widths(self, fit: _Fit) -> Array:
+        """Of each parameter, at 95 %."""
+        steps = np.array([_step(fit.jacobian, -self.rest(fit.q, data)) for data in self.passes])
+        m = len(steps)
+        spread = steps.std(axis=0, ddof=1) / np.sqrt(m)
+        covariance = np.linalg.norm(np.linalg.pinv(fit.jacobian), axis=1)
+        random = t95(m - 1) * np.hypot(spread, covariance * np.sqrt(fit.chi2))
+        half: Array = np.hypot(random, SYSTEMATIC[: random.size])
+        return half
 
 
 def fit_axis(measured: Response, period: float, mass_guess: float) -> Axis:
-    """Mass, lag of the force, and the mode, where there is one. Raises Refused where the response is too poor."""
+    """Mass, lag and delay of the force, and the mode, where there is one. The delay is told apart where it is surely
+    there. Raises Refused where the response is too poor.
+    """
     good = measured.coherence >= LEAST_COHERENCE
     if good.sum() < LEAST_LINES:
         raise Refused(
@@ -132,38 +189,23 @@ def fit_axis(measured: Response, period: float, mass_guess: float) -> Axis:
             "more force or more passes are needed"
         )
     frequency, g = measured.frequency_hz[good], measured.response[good]
-    omega = 2.0 * np.pi * frequency
     sigma = np.maximum(measured.deviation[good] / np.abs(g), FLOOR)
-
-    def rest(q: Array, flexible: bool, data: Complex) -> Array:
-        with np.errstate(all="ignore"):  # the search may try what no axis is
-            ratio = np.log(_dynamics(q, flexible).response(omega, period) / data)
-        whole: Array = np.concatenate([ratio.real, ratio.imag]) / np.concatenate([sigma, sigma])
-        return whole
-
-    def fitted(start: Array, flexible: bool) -> tuple[Array, float, Array]:
-        scale = np.array([0.1, 1e-4, 1.0, 0.1, 0.5, 0.5])[: start.size]
-        done = least_squares(
-            lambda s: rest(s * scale, flexible, g), start / scale, max_nfev=80, loss="linear", x_scale="jac"
+    lines = _Lines(2.0 * np.pi * frequency, g, sigma, measured.passes[:, good], period)
+    rigid = best = lines.fit(np.array([np.log(mass_guess), 2e-4, 0.0, 0.0]))
+    for seed in _seeds(frequency, g, rigid.q, period):
+        one = lines.fit(seed)
+        if one.chi2 * MODE_GAIN < rigid.chi2 and one.chi2 < best.chi2:
+            best = one
+    delayed = lines.fit(best.q, delayed=True)
+    if abs(delayed.q[DELAY]) > max(LEAST_DELAY, lines.half_widths(delayed)[DELAY]):
+        best = delayed
+    if best.chi2 > WORST_CHI2:
+        raise Refused(
+            f"chi^2 {best.chi2:.0f} per degree of freedom (at most {WORST_CHI2:.0f}): no axis of one mode fits"
         )
-        return done.x * scale, 2.0 * float(done.cost) / (2 * g.size - start.size), done.jac / scale
-
-    rigid = fitted(np.array([np.log(mass_guess), 2e-4, 0.0]), False)
-    best, flexible = rigid, False
-    for seed in _seeds(frequency, g, rigid[0], period):
-        one = fitted(seed, True)
-        if one[1] * MODE_GAIN < rigid[1] and one[1] < best[1]:
-            best, flexible = one, True
-    q, chi2, jacobian = best
-    if chi2 > WORST_CHI2:
-        raise Refused(f"chi^2 {chi2:.0f} per degree of freedom (at most {WORST_CHI2:.0f}): no axis of one mode fits")
-    steps = np.array([_step(jacobian, -rest(q, flexible, data[good])) for data in measured.passes])
-    m = len(steps)
-    spread = steps.std(axis=0, ddof=1) / np.sqrt(m)
-    covariance = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
-    random = t95(m - 1) * np.hypot(spread, covariance * np.sqrt(chi2))
-    half: Array = np.hypot(random, SYSTEMATIC[: random.size])
-    return Axis(*_told(q, half, flexible, frequency), _dynamics(q, flexible), chi2)
+    found, refused = _told(best.q, lines.half_widths(best), frequency)
+    omega = 2.0 * np.pi * measured.frequency_hz
+    return Axis(found, refused, _dynamics(best.q).response(omega, period, float(best.q[DELAY])), best.chi2)
 
 
 def _step(jacobian: Array, rest: Array) -> Array:
@@ -178,9 +220,9 @@ def _seeds(frequency: Array, g: Complex, rigid: Array, period: float) -> list[Ar
     tried: list[tuple[float, Array]] = []
     for hertz in np.geomspace(frequency[0] * 2.0, frequency[-1], GRID):
         for load in LOADS:
-            q = np.array([rigid[0], 2e-4, 0.0, np.log(hertz), np.log(0.02), np.log(load / (0.95 - load))])
+            q = np.array([rigid[0], 2e-4, 0.0, 0.0, np.log(hertz), np.log(0.02), np.log(load / (0.95 - load))])
             with np.errstate(all="ignore"):
-                rest = np.log(_dynamics(q, True).response(omega, period)) - log_g
+                rest = np.log(_dynamics(q).response(omega, period)) - log_g
             q[0] += float(np.median(rest.real))
             size = np.hypot(rest.real - np.median(rest.real), np.angle(np.exp(1j * rest.imag)))
             tried.append((float(np.minimum(size, 1.0).sum()), q))
@@ -188,21 +230,24 @@ def _seeds(frequency: Array, g: Complex, rigid: Array, period: float) -> list[Ar
     return [q for _, q in tried[:SEEDS]]
 
 
-def _told(q: Array, half: Array, flexible: bool, frequency: Array) -> tuple[dict[str, Estimate], dict[str, str]]:
-    d = _dynamics(q, flexible)
+def _told(q: Array, half: Array, frequency: Array) -> tuple[dict[str, Estimate], dict[str, str]]:
+    d = _dynamics(q)
     found = {
         "mass": Estimate(d.mass, d.mass * float(half[0]), "kg"),
-        "torque_lag": Estimate(d.lag, float(half[1]), "s"),
+        "torque_lag": Estimate(d.lag + float(q[DELAY]), float(half[1]), "s"),
         "viscous": Estimate(d.viscous, float(half[2]), "N s/m"),
     }
+    if q[DELAY]:
+        found["delay"] = Estimate(float(q[DELAY]), float(half[DELAY]), "s")
     refused = {}
-    if not flexible:
+    if q.size == RIGID:
         refused["mode"] = f"no resonance between {frequency[0]:.0f} and {frequency[-1]:.0f} Hz"
     elif not frequency[0] < d.mode_hz < frequency[-1]:
         refused["mode"] = f"{d.mode_hz:.0f} Hz is outside the excited {frequency[0]:.0f} to {frequency[-1]:.0f} Hz"
     else:
-        found["mode_frequency_hz"] = Estimate(d.mode_hz, d.mode_hz * float(half[3]), "Hz")
-        found["mode_damping"] = Estimate(d.mode_damping, d.mode_damping * float(half[4]), "1")
+        of_hertz, of_damping, of_load = half[RIGID:].tolist()
+        found["mode_frequency_hz"] = Estimate(d.mode_hz, d.mode_hz * of_hertz, "Hz")
+        found["mode_damping"] = Estimate(d.mode_damping, d.mode_damping * of_damping, "1")
         slope = d.mode_load * (1.0 - d.mode_load / 0.95)
-        found["mode_load"] = Estimate(d.mode_load, slope * float(half[5]), "1")
+        found["mode_load"] = Estimate(d.mode_load, slope * of_load, "1")
     return found, refused

@@ -16,18 +16,16 @@ from hil.identify.findings import Findings
 PANELS = 5
 
 
-def identification_picture(
-    path: Path, findings: Mapping[str, Findings], kinds: Mapping[str, str], period: float
-) -> None:
+def identification_picture(path: Path, findings: Mapping[str, Findings], kinds: Mapping[str, str]) -> None:
     """One row an axis: the frequency response with its fit, friction and force along the travel, friction over speed,
-    loops at rest. kinds: of the axes, "linear" or "rotary". period: s.
+    loops at rest. kinds: of the axes, "linear" or "rotary".
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.6 * PANELS, 3.0 * len(findings)), layout="constrained")
         for row, (name, one) in zip(
             figure.subplots(len(findings), PANELS, squeeze=False), findings.items(), strict=True
         ):
-            _bode(row[0], row[1], one, kinds[name], period)
+            _bode(row[0], row[1], one, kinds[name])
             _travel(row[2], row[3], one, kinds[name])
             _loops(row[4], one, kinds[name])
             row[0].set_ylabel(f"{name}: {row[0].get_ylabel()}")
@@ -39,15 +37,14 @@ def _not_measured(*panels: Axes) -> None:
         panel.text(0.5, 0.5, "not measured", ha="center", transform=panel.transAxes)
 
 
-def _bode(size: Axes, phase: Axes, one: Findings, kind: str, period: float) -> None:
+def _bode(size: Axes, phase: Axes, one: Findings, kind: str) -> None:
     if one.response is None:
         _not_measured(size, phase)
         return
     hertz, measured, _, coherence, _ = one.response
     turned = np.unwrap(np.angle(measured))
     size.loglog(hertz, np.abs(measured), ".", markersize=3, label="measured")
-    if one.dynamics is not None:
-        fitted = one.dynamics.response(2.0 * np.pi * hertz, period)
+    if (fitted := one.fitted) is not None:
         size.loglog(hertz, np.abs(fitted), label="fitted")
         phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(fitted))))
         turned = np.unwrap(np.angle(fitted)) + np.angle(measured / fitted)  # about a notch, the same branch

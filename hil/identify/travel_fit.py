@@ -9,13 +9,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
 from hil.identify.estimate import Array, Estimate, Refused, jackknife
-from hil.identify.force_balance import CORNER_HZ, EDGE_S, lagged
+from hil.identify.places import PLACES, Points, SpeedPass, points_of
 
 LEAST_PASSES = 4
 PERIODS, SEEDS = 32, 3  # tried of each kind, and refined
@@ -27,21 +24,6 @@ SYSTEMATIC = {
     "cogging_amplitude": 0.01, "cogging_period": 0.006,
 }  # fmt: skip
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
-# Of the travel, left out at the beginning of a pass, as cables that move along take a way to turn; at most of the pass.
-LEAD, MOST_LEAD = 0.08, 0.25
-STALL_S = 0.05, 0.15  # left out before a stall, for the filter, and behind it, until the loop is at rest again
-PLACES = 240  # along the travel; the force is averaged over each
-
-
-class SpeedPass(NamedTuple):
-    """One pass at constant speed, away from its ends: force as applied (N), position (m), (n,). speed: m/s, signed.
-    stalled: indices at which the computer stalled; the places passed about then do not count.
-    """
-
-    force: Array
-    position: Array
-    speed: float
-    stalled: Sequence[int] = ()
 
 
 class TravelCurves(NamedTuple):
@@ -65,14 +47,6 @@ class TravelFit(NamedTuple):
     curves: TravelCurves
 
 
-class _Points(NamedTuple):
-    force: Array
-    position: Array
-    velocity: Array
-    of_pass: Array
-    place: Array
-
-
 BASE = ("coulomb", "constant", "cable_stiffness")
 
 
@@ -87,7 +61,7 @@ def travel_fit(
     if min(ways) < LEAST_PASSES // 2:
         raise Refused(f"{ways[0]} and {ways[1]} passes at constant speed in the two directions (at least 2 each)")
     speeds = [abs(p.speed) for p in passes]
-    points = _points(passes, period, mass, lag)
+    points = points_of(passes, period, mass, lag)
     centre = 0.5 * float(points.position.min() + points.position.max())
     points = points._replace(position=points.position - centre)
     refused = {}
@@ -103,14 +77,14 @@ def travel_fit(
     without = []
     for left_out in range(len(passes)):
         kept = points.of_pass != left_out
-        part = _Points(*(values[kept] for values in points))
+        part = Points(*(values[kept] for values in points))
         other = 0.0 if refused else _viscous(part)
         part = _without_speed(part, other)
         shifted = _refined(part, waves)
         y, _ = _solve(part, shifted)
-        without.append(np.array([other, *_told(y, shifted, points).values()]))
+        without.append(np.array([other, *_told(y, shifted, points).values(), *_drift(part, shifted, y).values()]))
     half = jackknife(without).tolist()
-    values = {"viscous": viscous, **_told(x, waves, points)}
+    values = {"viscous": viscous, **_told(x, waves, points), **_drift(level, waves, x)}
     systematic = {name: share * values[name] for name, share in SYSTEMATIC.items() if name in values}
     systematic["constant"] = SYSTEMATIC["coulomb"] * values["coulomb"]  # the sinusoids' ends go into either
     if residual < rounding:
@@ -140,59 +114,12 @@ def travel_fit(
 WAVES = ((True, "friction_variation", "friction_period"), (False, "cogging_amplitude", "cogging_period"))
 UNITS = {
     "coulomb": "N", "constant": "N", "viscous": "N s/m", "cable_stiffness": "N/m", "friction_variation": "1",
-    "friction_period": "m", "cogging_amplitude": "N", "cogging_period": "m",
+    "friction_period": "m", "cogging_amplitude": "N", "cogging_period": "m", "position_drift": "m",
 }  # fmt: skip
 
 
-def _points(passes: Sequence[SpeedPass], period: float, mass: float, lag: float) -> _Points:
-    """Mean force less inertia over each place, whole places only."""
-    ends = [end for one in passes for end in (one.position.min(), one.position.max())]
-    low, high = min(ends), max(ends)
-    edges = np.linspace(low, high, PLACES + 1)
-    columns: list[list[Array]] = [[], [], [], [], []]
-    for number, one in enumerate(passes):
-        position, force = _smooth(one, period, mass, lag)
-        turned = 1 if one.speed > 0.0 else -1
-        lead = min(LEAD * (high - low), MOST_LEAD * float(np.ptp(one.position)))
-        begin = one.position[0] + turned * lead
-        first, last = sorted((begin, position[-1]))
-        whole = np.flatnonzero((edges >= first) & (edges <= last))
-        if whole.size < 2:
-            raise Refused(f"a pass at {one.speed:.3g} m/s is at constant speed over {abs(last - first):.2g} m only")
-        work = cumulative_trapezoid(force, position, initial=0.0)
-        at = edges[whole]
-        done = np.interp(at, position[::turned], work[::turned])
-        when = np.interp(at, position[::turned], (period * np.arange(position.size))[::turned])
-        width = np.diff(at)
-        values = (np.diff(done) / width, 0.5 * (at[1:] + at[:-1]), width / np.diff(when))
-        sound = _sound(when, one, period)
-        for column, value in zip(columns, (*values, np.full(width.size, number), whole[:-1]), strict=True):
-            column.append(value[sound])
-    return _Points(*(np.concatenate(column) for column in columns))
-
-
-def _sound(when: Array, one: SpeedPass, period: float) -> NDArray[np.bool_]:
-    """Whether a place was passed away from stalls, (k - 1,). when: s, at the places' edges, (k,)."""
-    first, last = np.minimum(when[1:], when[:-1]), np.maximum(when[1:], when[:-1])
-    sound = np.ones(first.size, bool)
-    for at in (np.asarray(one.stalled, float) * period - EDGE_S).tolist():
-        sound &= (last < at - STALL_S[0]) | (first > at + STALL_S[1])
-    return sound
-
-
-def _smooth(one: SpeedPass, period: float, mass: float, lag: float) -> tuple[Array, Array]:
-    """Position and force less inertia, filtered alike; without the ends, where the filter has half its data."""
-    width, edge = np.sqrt(np.log(2.0)) / (2.0 * np.pi * CORNER_HZ * period), round(EDGE_S / period)
-    if one.position.size < 3 * edge:
-        raise Refused(f"a pass at {one.speed:.3g} m/s is at constant speed for {one.position.size * period:.2g} s only")
-    position = gaussian_filter1d(one.position, width, mode="nearest")
-    force = gaussian_filter1d(lagged(one.force, lag, period), width, mode="nearest")
-    force = force - mass * np.gradient(np.gradient(position, period), period)
-    return position[edge:-edge], force[edge:-edge]
-
-
 def _curves(
-    points: _Points, centre: float, rest: Array, speeds: Sequence[float], coulomb: float, viscous: float
+    points: Points, centre: float, rest: Array, speeds: Sequence[float], coulomb: float, viscous: float
 ) -> TravelCurves:
     """Of places that were passed both ways."""
     at, rows = points.place.astype(int), []
@@ -207,7 +134,7 @@ def _curves(
     return TravelCurves(position, friction, place_force, np.array(speeds), np.array(moved))
 
 
-def _viscous(points: _Points) -> float:
+def _viscous(points: Points) -> float:
     """By how much the force grows with speed, N s/m: compared at the same place and in the same direction, where all
     else is the same whatever it is.
     """
@@ -223,11 +150,11 @@ def _viscous(points: _Points) -> float:
     return float(speed @ varied(points.force) / (speed @ speed))
 
 
-def _without_speed(points: _Points, viscous: float) -> _Points:
+def _without_speed(points: Points, viscous: float) -> Points:
     return points._replace(force=points.force - viscous * points.velocity)
 
 
-def _design(points: _Points, waves: Sequence[tuple[bool, float]]) -> Array:
+def _design(points: Points, waves: Sequence[tuple[bool, float]]) -> Array:
     """(k, n): BASE, then sine and cosine of every wave; a wave of friction (True) changes sign with the direction."""
     direction = np.sign(points.velocity)
     rows = [direction, np.ones_like(direction), points.position]
@@ -238,19 +165,19 @@ def _design(points: _Points, waves: Sequence[tuple[bool, float]]) -> Array:
     return np.array(rows)
 
 
-def _solve(points: _Points, waves: Sequence[tuple[bool, float]]) -> tuple[Array, Array]:
+def _solve(points: Points, waves: Sequence[tuple[bool, float]]) -> tuple[Array, Array]:
     a = _design(points, waves)
     size = np.sqrt((a * a).mean(axis=1))
     x, *_ = np.linalg.lstsq((a / size[:, None]).T, points.force, rcond=1e-9)
     return x / size, points.force - x @ (a / size[:, None])
 
 
-def _square(points: _Points, waves: Sequence[tuple[bool, float]]) -> float:
+def _square(points: Points, waves: Sequence[tuple[bool, float]]) -> float:
     rest = _solve(points, waves)[1]
     return float(rest @ rest)
 
 
-def _waves(points: _Points) -> list[tuple[bool, float]]:
+def _waves(points: Points) -> list[tuple[bool, float]]:
     """The periods along the travel that are worth it: one of friction, one of the place, searched together."""
     travel = float(np.ptp(points.position))
     lengths = np.geomspace(travel / LEAST_PARTS**2, LONGEST * travel, PERIODS).tolist()
@@ -267,7 +194,7 @@ def _waves(points: _Points) -> list[tuple[bool, float]]:
     return best
 
 
-def _refined(points: _Points, waves: Sequence[tuple[bool, float]]) -> list[tuple[bool, float]]:
+def _refined(points: Points, waves: Sequence[tuple[bool, float]]) -> list[tuple[bool, float]]:
     """The periods where the residual is least, from these on."""
     if not waves:
         return []
@@ -282,7 +209,7 @@ def _refined(points: _Points, waves: Sequence[tuple[bool, float]]) -> list[tuple
     return list(zip(kinds, np.exp(done.x).tolist(), strict=True))
 
 
-def _told(x: Array, waves: Sequence[tuple[bool, float]], points: _Points) -> dict[str, float]:
+def _told(x: Array, waves: Sequence[tuple[bool, float]], points: Points) -> dict[str, float]:
     """Quantities by name; friction and force of the place as their means over the travel of all passes."""
     told = dict(zip(BASE, x.tolist(), strict=False))
     low, high = float(points.position.min()), float(points.position.max())
@@ -298,3 +225,22 @@ def _told(x: Array, waves: Sequence[tuple[bool, float]], points: _Points) -> dic
         mean = sine * float(np.diff(-np.cos(ends))[0]) + cosine * float(np.diff(np.sin(ends))[0])
         told["coulomb" if odd else "constant"] += mean / (turn * (high - low))
     return told
+
+
+def _drift(points: Points, waves: Sequence[tuple[bool, float]], x: Array) -> dict[str, float]:
+    """By how far the waves moved along the travel from the first pass to the last, m: the scale slips, or a tool grows
+    warm. Friction and constant force may change meanwhile. Without waves nothing tells it.
+    """
+    if not waves:
+        return {}
+    base = _design(points, waves)
+    slope = np.zeros(points.position.size)
+    for i, (odd, length) in enumerate(waves):
+        turn, (sine, cosine) = 2.0 * np.pi / length, x[len(BASE) + 2 * i :][:2]
+        steep = turn * (sine * np.cos(turn * points.position) - cosine * np.sin(turn * points.position))
+        slope += steep * base[0] if odd else steep
+    part = points.of_pass / max(points.of_pass.max(), 1)
+    a = np.vstack([base, part, part * base[0], -part * slope])
+    size = np.sqrt((a * a).mean(axis=1))
+    told, *_ = np.linalg.lstsq((a / size[:, None]).T, points.force, rcond=1e-9)
+    return {"position_drift": float(told[-1] / size[-1])}

@@ -9,6 +9,7 @@ import math
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,15 +17,19 @@ from hil.identify.estimate import Estimate
 from hil.identify.experiments import SWEEP_REACH
 from hil.identify.lockstep import Trial, identify, in_virtual_time
 from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig
+from hil.rig.schema import AxisConfig, RigConfig
 from hil.rig.shipped import by_name
 from hil.runs.api import Run
 from hil.studies.evidence.stages import nominal, only, plant_of
 from sim_plant.config import PlantConfig
 
 SWEPT = SWEEP_REACH - 0.053  # of half the travel, at constant speed
-ABSOLUTE = {"torque_lag": (1e6, "us"), "mode_load": (1.0, ""), "friction_variation": (1.0, "")}  # scale, unit
+ABSOLUTE = {  # scale, unit
+    "torque_lag": (1e6, "us"), "delay": (1e6, "us"), "position_drift": (1e6, "um"), "mode_load": (1.0, ""),
+    "friction_variation": (1.0, ""),
+}  # fmt: skip
 RIG, TOLD = "microscope", ("mass", "coulomb", "viscous", "gravity", "torque_lag")
+EMPTY = {"mass": 0.6, "gravity": 0.8, "coulomb": 0.0, "viscous": 0.0, "torque_lag": 0.0}  # shares that are known
 
 
 def hidden(
@@ -37,21 +42,18 @@ def hidden(
     whole = only(nominal(load_rig(by_name("rigs", Path(RIG)), other), mode_hz), [axis])
     plant = plant_of(whole, seed, number, mode_hz)
     mine = {key: getattr(whole.plant, key) for key in ("encoder_resolution", "initial_position")}
-    model = whole.axes[axis].model
-    wrong = {key: getattr(model, key) * (1.0 - (off or 0.3)) for key in TOLD}
-    if off is None:
-        wrong = {
-            "mass": model.mass * 0.6,
-            "gravity": model.gravity * 0.8,
-            "coulomb": 0.0,
-            "viscous": 0.0,
-            "torque_lag": 0.0,
-        }
-    wrong |= {"mode_frequency_hz": 0.0, "presliding": []}
-    axes = {axis: whole.axes[axis].model_copy(update={"model": model.model_copy(update=wrong)})}
+    axes = {axis: told_wrongly(whole.axes[axis], off)}
     drives = whole.drives.model_copy(update={"brake": [axis == "z"]})
     rig = whole.model_copy(update={"axes": axes, "drives": drives, "plant": plant.model_copy(update=mine)})
     return rig, truth_of_axis(plant, axis, 0, SWEPT * axes[axis].limits.position[1])
+
+
+def told_wrongly(axis: AxisConfig, off: float | None) -> AxisConfig:
+    """With a model that is too small by this share in everything, or empty, and knows no resonance."""
+    shares = EMPTY if off is None else dict.fromkeys(TOLD, 1.0 - off)
+    wrong: dict[str, Any] = {key: getattr(axis.model, key) * share for key, share in shares.items()}
+    wrong |= {"mode_frequency_hz": 0.0, "presliding": []}
+    return axis.model_copy(update={"model": axis.model.model_copy(update=wrong)})
 
 
 def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> dict[str, float]:
@@ -67,7 +69,7 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
     local = of("coulomb") * (1.0 + of("friction_variation") * math.sin(of("friction_phase")))  # in the middle
     truth = {
         "mass": of("mass"),
-        "torque_lag": of("torque_lag"),
+        "torque_lag": of("torque_lag") + of("encoder_latency"),
         "coulomb": of("coulomb") * (1.0 + of("friction_variation") * mean) + of("cable_hysteresis"),
         "viscous": of("viscous"),
         "constant": -of("gravity") - of("bias") - pulled,
@@ -77,6 +79,8 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
         "friction_period": of("friction_period"),
         "cogging_amplitude": waves[0].amplitude,
         "cogging_period": waves[0].period,
+        "position_drift": 0.0,
+        "delay": of("encoder_latency"),
     }
     for mode in plant.modes:
         if mode.axis == axis:

@@ -11,8 +11,10 @@ LINES = range(1, 80, 2)  # 5 to 395 Hz
 MASS, LAG, MODE, DAMPING, LOAD, VISCOUS = 0.9, 3e-4, 120.0, 0.03, 0.3, 4.0
 
 
-def passes(mode: bool, noise: float = 0.0, size: float = 0.03) -> list[Pass]:
-    """Eight passes there and back at 20 mm/s, ++--, in one integration."""
+def passes(mode: bool, noise: float = 0.0, size: float = 0.03, delay: int = 0) -> list[Pass]:
+    """Eight passes there and back at 20 mm/s, ++--, in one integration. delay: steps of PERIOD / FINE by which a force
+    acts late, at most FINE.
+    """
     random = np.random.default_rng(7)
     phases = random.uniform(0.0, 6.28, len(LINES))
     k = np.arange(BASE)[:, None]
@@ -23,7 +25,7 @@ def passes(mode: bool, noise: float = 0.0, size: float = 0.03) -> list[Pass]:
     out = []
     for number in range(8):
         direction, sign = (1, -1)[number % 2], (1, 1, -1, -1)[number % 4]
-        x = tool = driven = 0.0
+        x = tool = driven = before = 0.0
         v = w = direction * 0.02
         forces, positions = [], []
         step = PERIOD / FINE
@@ -32,14 +34,15 @@ def passes(mode: bool, noise: float = 0.0, size: float = 0.03) -> list[Pass]:
             u += VISCOUS * direction * 0.02
             forces.append(u)
             positions.append(x)
-            for _ in range(FINE):
-                driven += (u - driven) * step / LAG
+            for fine in range(FINE):
+                driven += ((u if fine >= delay else before) - driven) * step / LAG
                 pull = spring * (tool - x) + damper * (w - v) if mode else 0.0
                 v += (driven - VISCOUS * v + pull) / motor * step
                 x += v * step
                 if mode:
                     w -= pull / load * step
                     tool += w * step
+            before = u
         measured = np.array(positions[2 * BASE :]) + random.normal(0.0, noise + 1e-12, 2 * BASE)
         out.append(Pass(np.array(forces[2 * BASE :]), np.zeros(2 * BASE), measured, direction, sign, 0))
     return out
@@ -55,6 +58,18 @@ def test_a_mode_is_found() -> None:
     assert found["mode_damping"].value == pytest.approx(DAMPING, rel=0.15)
     assert found["mode_load"].value == pytest.approx(LOAD, abs=0.02)
     assert found["torque_lag"].value == pytest.approx(LAG, abs=60e-6)
+
+
+@pytest.mark.parametrize("steps", [8, 20, FINE])
+def test_a_delay_is_told_apart_from_the_lag(steps: int) -> None:
+    """Of drives that act late, up to a whole period; against what steps of 25 us do to either."""
+    late, prompt = (fit_axis(response_of(passes(True, 2e-9, delay=at), PERIOD, LINES, BASE), PERIOD, 0.5)
+                    for at in (steps, 0))  # fmt: skip
+    for quantity in ("delay", "torque_lag"):
+        later = late.found[quantity].value - prompt.found[quantity].value
+        assert later == pytest.approx(steps * PERIOD / FINE, abs=3e-6), quantity
+    for quantity in ("mass", "mode_frequency_hz", "mode_load"):
+        assert late.found[quantity].value == pytest.approx(prompt.found[quantity].value, rel=2e-3), quantity
 
 
 def test_a_rigid_axis_has_no_mode() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from hil.identify.experiments import EXPERIMENTS, ROW_S, Known, Plan, rig_document
 from hil.identify.findings import from_run
-from hil.identify.lockstep import Trial, identify
+from hil.identify.lockstep import Trial, identify, in_virtual_time
 from hil.rig.file import load_rig
 from hil.rig.shipped import by_name
 from hil.runs.api import Recording, Run, load_run, simulate
@@ -130,6 +130,25 @@ def test_a_recording_of_an_experiment_replays_without_asking(tmp_path: Path) -> 
     assert recorded.exact, "the law of the experiments is ours"
     assert np.array_equal(recorded.columns["force"], run.columns["force"])
     assert code_of_recording(tmp_path / "run.mcap") == []
+
+
+@pytest.mark.long
+def test_a_scale_that_slips_is_refused() -> None:
+    """The head of a linear encoder that is not screwed tight: 0.2 mm over the passes."""
+    plant = {"mass": [rigs.MASS], "coulomb": [rigs.COULOMB], "viscous": [rigs.VISCOUS], "friction_variation": [0.1],
+             "friction_period": [8e-3]}  # fmt: skip
+    rig = rigs.one_axis(plant=plant).config
+
+    def refused(slip: float) -> str:
+        def runner(trial: Trial) -> tuple[Run, str]:
+            run, trace = in_virtual_time(trial)
+            run.columns["position"][:, 0] += np.linspace(0.0, slip, len(run.columns["position"]))
+            return run, trace
+
+        return identify(rig, Path(), ["x"], lambda _: None, ["moves"], runner)["x"].refused.get("position_drift", "")
+
+    assert refused(0.0) == ""
+    assert "positions shifted by 0.0" in refused(2e-4)
 
 
 @pytest.mark.long

@@ -22,7 +22,7 @@ def findings() -> Findings:
     turns = np.linspace(0.0, 20.0, 500)
     return Findings(
         response=response,
-        dynamics=fit_axis(response, PERIOD, 0.5).dynamics,
+        fitted=fit_axis(response, PERIOD, 0.5).response,
         travel=travel,
         loops=(1e-6 * np.sin(turns), np.cos(turns)),
     )
@@ -49,7 +49,7 @@ def test_the_curves_of_the_travel_are_friction_and_place(findings: Findings) -> 
 def test_each_axis_has_a_row_of_panels(findings: Findings, tmp_path: Path) -> None:
     kinds = {"x": "linear", "theta": "rotary"}
     one_row, two_rows = tmp_path / "one.png", tmp_path / "pictures" / "two.png"
-    identification_picture(one_row, {"x": findings}, kinds, PERIOD)
-    identification_picture(two_rows, {"x": findings, "theta": Findings()}, kinds, PERIOD)
+    identification_picture(one_row, {"x": findings}, kinds)
+    identification_picture(two_rows, {"x": findings, "theta": Findings()}, kinds)
     assert imread(two_rows).shape[0] == 2 * imread(one_row).shape[0]
     assert np.std(imread(one_row)) > 0.05, "something is drawn"

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from hil.identify.estimate import Refused
-from hil.identify.travel_fit import SpeedPass, travel_fit
+from hil.identify.estimate import Estimate, Refused
+from hil.identify.places import SpeedPass
+from hil.identify.travel_fit import travel_fit
 
 PERIOD = 1e-3
 COULOMB, CONSTANT, VISCOUS, STIFFNESS = 0.5, -2.4, 3.0, 0.1
@@ -73,6 +74,28 @@ def test_two_long_periods_are_told_apart() -> None:
     assert found["friction_period"].value == pytest.approx(0.0195, rel=0.01)
     assert found["cogging_period"].value == pytest.approx(0.024, rel=0.02)
     assert found["cogging_amplitude"].value == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_scale_that_slips_is_seen_by_what_lies_along_the_travel() -> None:
+    """Positions that are told 0.2 mm too far in the last pass, also while the friction grows; nothing tells it on a
+    guide that is everywhere alike.
+    """
+
+    def drift(by: float, waves: bool = True, warmer: float = 0.0) -> Estimate | None:
+        passes = []
+        for number, speed in enumerate(SPEEDS):
+            part, plain = number / (len(SPEEDS) - 1), one(speed, waves)
+            force = plain.force + math.copysign(part * warmer, speed)
+            passes.append(plain._replace(position=plain.position + part * by, force=force))
+        return travel_fit(passes, PERIOD, 0.9).found.get("position_drift")
+
+    for by, warmer in ((2e-4, 0.0), (-2e-4, 0.01), (0.0, 0.01)):
+        found = drift(by, warmer=warmer)
+        assert found is not None
+        assert found.holds(by)
+        assert found.value == pytest.approx(by, rel=0.05, abs=1e-5)
+        assert found.half_width < 0.5 * abs(by) + 3e-5
+    assert drift(2e-4, waves=False) is None
 
 
 def test_places_passed_in_a_stall_do_not_count() -> None:
