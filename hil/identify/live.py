@@ -3,7 +3,9 @@
 Rules:
 - Each experiment is a run of its own: control process and sidecar are started for it, as an operator would start them.
   Gate, fault detectors, stop line and recorder are those of every other run; `hil estop NAME` stops it.
-- On a rig nothing moves before the operator has agreed to the experiment's way, speed, force and time.
+- On a rig nothing moves before the operator has agreed to the experiment's way, speed, force and time, nor without a
+  key that is held meanwhile. It stops when the key is let go, or when this process is gone: by safety.heartbeat_s,
+  HEARTBEAT_S where the rig file has none.
 - An experiment that came to its end is kept, and is not run again for the same rig and plan. One that ended in a
   fault, or lost too many ticks to be fitted, is not kept: the next start runs it again.
 - Where this computer held up an emulated stage, the experiment is tried again. On a rig that is the operator's to
@@ -23,17 +25,21 @@ from rich.console import Console
 from drivers.base.named_file import write_text
 from drivers.base.runtime import runtime_dir
 from drivers.base.toml_file import toml_text
-from hil.identify.experiments import ROW_S
+from hil.cycle.fault_table import Fault
+from hil.identify.experiments import ROW_S, middle
 from hil.identify.lockstep import AFTER_S, Trial
 from hil.identify.signals import too_many_lost
+from hil.operate.dead_man import NAMED, Handle
 from hil.operate.demo_live import RECORDING, Demo, Scene, Signals, private_runtime
 from hil.rig.file import load_rig, rig_hash
+from hil.rig.home_table import SPEED
 from hil.rig.schema import RigConfig
 from hil.runs.api import Run, load_run
 from hil.runs.rigs import Rig
 
 RIG_FILE = "rig.toml"
 TRIES = 5  # on an emulated stage
+HEARTBEAT_S = 0.25
 ENABLE_S = 1.0  # from ACTIVE to the beginning of the task, at most
 
 
@@ -49,17 +55,27 @@ class LiveExperiments:
     """A Runner (hil/identify/lockstep.py) in real time.
 
     out: folder for the recordings, one below it an experiment. agrees: asked before a real axis moves, with what it
-    will do. runtime: directory in which the processes meet. Raises LiveError as it is called, and OSError.
+    will do. handle: of the key that has to be held; None: it moves without one. runtime: directory in which the
+    processes meet. Raises LiveError as it is called, and OSError.
     """
 
     def __init__(
-        self, out: Path, console: Console, signals: Signals, agrees: Callable[[str], bool], runtime: Path
+        self,
+        out: Path,
+        console: Console,
+        signals: Signals,
+        agrees: Callable[[str], bool],
+        runtime: Path,
+        handle: Handle | None = None,
     ) -> None:
         self._out, self._console, self._signals, self._agrees, self._runtime = out, console, signals, agrees, runtime
+        self._handle = handle
 
     def __call__(self, trial: Trial) -> tuple[Run, str]:
         """The run of one experiment, with the hash of its recording; of an earlier start, where it has it."""
-        rig = Rig.build(live_document(trial.document), trial.folder)
+        rig = Rig.build(self._document(trial), trial.folder)
+        if anywhere := declared_anywhere(trial.axis, rig.config):
+            raise LiveError(anywhere)
         kept = self._out / f"{trial.axis}-{trial.experiment}"
         before = _finished(kept, rig.sha256)
         if before is not None:
@@ -81,11 +97,12 @@ class LiveExperiments:
         begun.mkdir(parents=True)
         file = trial.folder / f".{trial.axis}-{trial.experiment}-{RIG_FILE}"  # what the rig names lies beside it
         try:
-            write_text(file, toml_text(live_document(trial.document)))
+            write_text(file, toml_text(self._document(trial)))
             rig = load_rig(file)
             scene = Scene(rig, file, (), self._runtime, begun, is_emulated(rig))
-            stage = Demo(scene, self._console, self._signals, insists=False, holds=False)
-            stage.run(ENABLE_S + trial.seconds + AFTER_S)
+            with contextlib.nullcontext() if self._handle is None else self._handle() as held:
+                stage = Demo(scene, self._console, self._signals, insists=False, holds=False, held=held)
+                stage.run(ENABLE_S + trial.seconds + AFTER_S)
         finally:
             file.unlink(missing_ok=True)
         where = f"{trial.axis}, {trial.experiment}"
@@ -94,6 +111,8 @@ class LiveExperiments:
         if stage.busy:
             raise TooBusyError(f"{where}: {stage.busy}")
         run = load_run(begun) if (begun / RECORDING).exists() else None
+        if run is not None and Fault.HEARTBEAT_LOST.name in run.summary()["faults"]:
+            raise LiveError(f"{where}: {NAMED} was let go, and the stage stopped")
         if run is None or (stage.troubles and not run.summary()["faults"]):
             raise LiveError(f"{where}: {stage.troubles[0] if stage.troubles else 'nothing was recorded'}")
         if not stage.troubles and (missing := too_many_lost(run)):
@@ -102,6 +121,9 @@ class LiveExperiments:
             shutil.rmtree(kept, ignore_errors=True)
             begun = begun.replace(kept)
         return run, _digest(begun)
+
+    def _document(self, trial: Trial) -> dict[str, Any]:
+        return live_document(trial.document, heartbeat=self._handle is not None)
 
     def _say(self, text: str) -> None:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -112,13 +134,17 @@ def is_emulated(rig: RigConfig) -> bool:
     return rig.bus.interface == "local"
 
 
-def live_document(document: dict[str, Any]) -> dict[str, Any]:
-    """The same rig, recorded; where its stage is emulated, on a machine that grants no real time, too."""
-    telemetry = {**document["telemetry"], "record": True}
-    timing = dict(document["timing"])
-    if document["bus"]["interface"] == "local":
+def live_document(document: dict[str, Any], *, heartbeat: bool = False) -> dict[str, Any]:
+    """The same rig, recorded, with an operator's heartbeat. Where its stage is emulated, that only as asked; and on a
+    machine that grants no real time, too.
+    """
+    telemetry, timing, safety = {**document["telemetry"], "record": True}, dict(document["timing"]), document["safety"]
+    emulated = document["bus"]["interface"] == "local"
+    if emulated:
         timing["allow_degraded"] = True
-    return {**document, "telemetry": telemetry, "timing": timing}
+    if heartbeat or not emulated:
+        safety = {**safety, "heartbeat_s": safety["heartbeat_s"] or HEARTBEAT_S}
+    return {**document, "telemetry": telemetry, "timing": timing, "safety": safety}
 
 
 def what_moves(trial: Trial, rig: RigConfig) -> str:
@@ -130,7 +156,31 @@ def what_moves(trial: Trial, rig: RigConfig) -> str:
     return (
         f"{trial.axis}, {trial.experiment}: {trial.seconds:.0f} s, from {rows.min():.4g} to {rows.max():.4g} {unit} "
         f"(travel {low:.4g} to {high:.4g}), up to {speed:.3g} {unit}/s, at most {axis.limits.force:.3g} {force}. "
-        f"It goes first to {rows[0]:.4g} {unit}. Stop it with Ctrl-C or hil estop {rig.name}"
+        f"It goes first to {rows[0]:.4g} {unit}.{_homing(rig)} Stop it with Ctrl-C or hil estop {rig.name}"
+    )
+
+
+def _homing(rig: RigConfig) -> str:
+    """What moves before an experiment, as each is a run of its own that has to home."""
+    told = [
+        f"{name} homes by {axis.home.by}, up to {axis.home.farthest:g} {unit} "
+        f"at {axis.home.speed or SPEED * axis.limits.speed:.3g} {unit}/s"
+        for name, axis in rig.axes.items()
+        if axis.home is not None and axis.home.moves and (unit := "m" if axis.kind == "linear" else "rad")
+    ]
+    return f" Before that {', '.join(told)}." if told else ""
+
+
+def declared_anywhere(name: str, rig: RigConfig) -> str:
+    """In words, where an axis would be declared elsewhere by each experiment's homing; else ""."""
+    axis = rig.axes[name]
+    centre, _ = middle(axis)
+    if axis.home is None or axis.home.by != "here" or abs(axis.home.at - centre) <= axis.limits.following_error:
+        return ""
+    return (
+        f'{name}: home.by = "here" takes where the axis stands for {axis.home.at:g}, but each experiment is a run of '
+        f"its own, and leaves the axis at {centre:g}: put the axis there and state home.at = {centre:g}, or home it "
+        "another way"
     )
 
 

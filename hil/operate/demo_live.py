@@ -1,12 +1,13 @@
 """The live part of `hil demo`: emulated stage, control process and sidecar as real processes, watched and operated."""
 
+import contextlib
 import json
 import os
 import shutil
 import signal
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from hil.cycle.axis_homing import HOMING_REQUIRED
 from hil.cycle.tick import CommandKind
 from hil.events.motion_causes import RINGS
 from hil.live.runtime_paths import DEMO_PREFIX, RuntimePaths, runtime_paths_in
+from hil.operate.dead_man import NAMED
 from hil.operate.monitor import EVENTS_KEPT, banner, drive_words, line, view
 from hil.rig.schema import RigConfig
 from hil.telemetry import events_pb2 as pb_events
@@ -133,9 +135,19 @@ def _held_up(event: pb_events.Event) -> bool:
 class Demo:
     """One demonstration from start to summary."""
 
-    def __init__(self, scene: Scene, console: Console, signals: Signals, *, insists: bool, holds: bool) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        console: Console,
+        signals: Signals,
+        *,
+        insists: bool,
+        holds: bool,
+        held: Callable[[], bool] | None = None,
+    ) -> None:
         """insists: go on after a stop that this computer caused; else that ends it, and `busy` says what happened.
-        holds: the stage holds where it stands, and waits for goals.
+        holds: the stage holds where it stands, and waits for goals. held: whether the operator's key is
+        (hil/operate/dead_man.py); None: the stage moves without one.
         """
         self.scene = scene
         self.busy = ""
@@ -151,6 +163,10 @@ class Demo:
         self.stalls = 0
         self._refusal = ""
         self._stopped = False  # by an operator beside this demo
+        self._homing = False  # asked for by this demo, and the stage has not been ACTIVE since
+        self._held = held
+        self._may_move = held is None
+        self._beat_s = 0.0
 
     def run(self, seconds: float) -> None:
         """Start, activate, watch for `seconds`, stop. What goes wrong is in `troubles` afterwards."""
@@ -212,9 +228,14 @@ class Demo:
             raise DemoError(gone.fate())
 
     def _await_active(self, client: RigClient) -> None:
-        until = time.monotonic() + START_S
+        until, asked = time.monotonic() + START_S, False
         while self.status.state != "ACTIVE":
             self._look(client)
+            if self.status.state == "READY" and not self._may_move:
+                until = time.monotonic() + START_S  # the operator takes the time it takes
+                if not asked:
+                    self.console.print(f"hold {NAMED}: the stage moves while it is held, and stops when it is let go")
+                asked = True
             if time.monotonic() > until:
                 raise TooBusyError(f"the rig did not become ACTIVE within {START_S:.0f} s: {self._where()}")
             time.sleep(POLL_S)
@@ -256,12 +277,22 @@ class Demo:
             if not self.stalled:
                 pressed = "hil estop or a page's E-STOP" if status.state == "ESTOP" else "a fault of the stage"
                 raise DemoError(f"{pressed} stopped the rig: {self._where()}")
+            self._homing = False
             self._command(CommandKind.RESET)
         elif tripped(status):
             self._command(CommandKind.RESET)
-        elif status.state == "READY" and status.recording and not self._stopped:
-            begins = CommandKind.ACTIVATE_HOLD if self._holds else CommandKind.ACTIVATE
-            self._command(CommandKind.HOME if HOMING_REQUIRED in self._refusal else begins)
+        elif status.state == "READY" and status.recording and self._may_move and not self._stopped:
+            self._begin()
+
+    def _begin(self) -> None:
+        """Home where that is asked for, then activate. A stage that is not homed after that was stopped meanwhile."""
+        if HOMING_REQUIRED not in self._refusal:
+            self._command(CommandKind.ACTIVATE_HOLD if self._holds else CommandKind.ACTIVATE)
+        elif self._homing:
+            self._note_operator()
+        else:
+            self._homing = True
+            self._command(CommandKind.HOME)
 
     def _note_stall(self, before: pb.Status) -> None:
         status = self.status
@@ -277,13 +308,30 @@ class Demo:
 
     def _note_stop(self, before: pb.Status) -> None:
         """A rig that was brought to rest by somebody's command stays so until somebody's command activates it."""
-        state, name = self.status.state, self.scene.rig.name
-        if state == "READY" and before.state in _IN_MOTION:
-            self._stopped = True
-            again = "activate-hold" if self._holds else "activate"
-            self.console.print(f"stopped by an operator; to go on: hil command {name} {again}", soft_wrap=True)
+        state = self.status.state
+        homed = before.state == "HOMING" and self._homing
+        if state == "READY" and before.state in _IN_MOTION and not homed:
+            self._note_operator()
         elif state == "ACTIVE":
-            self._stopped = False
+            self._stopped = self._homing = False
+
+    def _note_operator(self) -> None:
+        self._stopped, self._homing = True, False
+        begins = "home" if HOMING_REQUIRED in self._refusal else "activate-hold" if self._holds else "activate"
+        self.console.print(
+            f"stopped by an operator; to go on: hil command {self.scene.rig.name} {begins}", soft_wrap=True
+        )
+
+    def _beat(self) -> None:
+        """The operator's heartbeat, where the rig file asks for one: four times as often as it must come."""
+        if self._held is not None:
+            self._may_move = self._held()
+        every_s, now_s = 0.25 * self.scene.rig.safety.heartbeat_s, time.monotonic()
+        known = self.status.state in ("READY", *_IN_MOTION)
+        if every_s and known and self._may_move and now_s - self._beat_s >= every_s:
+            self._beat_s = now_s
+            with contextlib.suppress(NoGatewayError), local_client(self.scene.paths.directory) as gateway:
+                gateway.command(CommandKind.HEARTBEAT)
 
     def _command(self, kind: CommandKind) -> None:
         try:
@@ -297,6 +345,7 @@ class Demo:
     def _look(self, client: RigClient) -> bool:
         """Take in the newest status and act on it. Raises DemoError when a process ended, Interrupted on a signal."""
         self._check_alive()
+        self._beat()
         status = client.status()
         self.events.extend(client.events())
         if status is None:

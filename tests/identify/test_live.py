@@ -1,9 +1,10 @@
 """Experiments in real time: what is agreed to, what is kept, ticks that are lost; and a push on a live stage."""
 
+import contextlib
 import io
 import signal
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -12,9 +13,19 @@ from rich.console import Console
 from hil.cycle.fault_table import Fault
 from hil.identify import live
 from hil.identify.experiments import EXPERIMENTS, Known, rig_document
-from hil.identify.live import LiveError, LiveExperiments, live_document, live_runtime
+from hil.identify.findings import Findings
+from hil.identify.live import (
+    LiveError,
+    LiveExperiments,
+    declared_anywhere,
+    live_document,
+    live_runtime,
+    what_moves,
+)
 from hil.identify.lockstep import APPROACH_S, Trial, identify
+from hil.operate.dead_man import Handle
 from hil.operate.demo_live import Scene, Signals
+from hil.rig.home_table import HomeConfig
 from hil.runs.api import Run, load_run, simulate
 from hil.runs.rigs import Rig
 from tests.identify import rigs
@@ -125,16 +136,65 @@ def test_an_experiment_that_ended_in_a_fault_runs_again_at_the_next_start(
     assert [path.name for path in tmp_path.iterdir()] == ["x-push"]
 
 
+@pytest.mark.parametrize("at", [0.0, 0.01])
+def test_an_axis_that_is_declared_where_it_stands_has_to_be_declared_where_experiments_end(at: float) -> None:
+    rig = rigs.one_axis().config
+    home = {"home": HomeConfig(by="here", at=at)}
+    axes = {"x": rig.axes["x"].model_copy(update=home)}
+    words = declared_anywhere("x", rig.model_copy(update={"axes": axes}))
+    assert ("leaves the axis at 0" in words) is (at == 0.01)
+
+
+def test_what_homes_before_an_experiment_is_said(tmp_path: Path) -> None:
+    trial = a_push("can0", tmp_path)
+    assert "homes" not in what_moves(trial, Rig.build(trial.document).config)
+    trial.document["axes"]["x"]["home"] = {"by": "index", "farthest": 0.03, "speed": 2e-3}
+    words = what_moves(trial, Rig.build(trial.document).config)
+    assert "Before that x homes by index, up to 0.03 m at 0.002 m/s." in words
+
+
+# A shared machine stops a core for 50 ms. How soon such a stop ends a run is tried elsewhere: here the experiment is,
+# and it has room for a few.
+LATE = {"overrun_zero_s": 0.15, "overrun_streak": 75, "silent_stop_ticks": 50, "silent_zero_ticks": 75}
+
+
+def pushed(tmp_path: Path, said: io.StringIO, handle: Handle | None = None, **tables: Any) -> Findings:
+    """One on a live emulated stage."""
+    bus, drives = {"interface": "local"}, {"watchdog_s": 0.15}
+    rig = rigs.one_axis(**{"bus": bus, "rate_hz": 500, "safety": LATE, "drives": drives, **tables})
+    with live_runtime(rig.config) as runtime:
+        runner = LiveExperiments(tmp_path, Console(file=said), Signals(), lambda _: False, runtime, handle)
+        return identify(rig.config, tmp_path, ["x"], lambda _: None, ["push"], runner)["x"]
+
+
 @pytest.mark.live
 @pytest.mark.usefixtures("no_signals")
 def test_a_push_on_a_live_emulated_stage_finds_its_friction(tmp_path: Path) -> None:
-    # A shared machine stops a core for 50 ms. How soon such a stop ends a run is tried elsewhere: here the experiment
-    # is, and it has room for a few.
-    late = {"overrun_zero_s": 0.15, "overrun_streak": 75, "silent_stop_ticks": 50, "silent_zero_ticks": 75}
-    rig = rigs.one_axis(bus={"interface": "local"}, rate_hz=500, safety=late, drives={"watchdog_s": 0.15})
-    with live_runtime(rig.config) as runtime:
-        runner = LiveExperiments(tmp_path, Console(file=io.StringIO()), Signals(), lambda _: False, runtime)
-        found = identify(rig.config, tmp_path, ["x"], lambda _: None, ["push"], runner)["x"]
+    """Also where it has to be homed before each experiment."""
+    plant = {"mass": [rigs.MASS], "coulomb": [rigs.COULOMB], "viscous": [rigs.VISCOUS], "presliding": [rigs.LENGTH],
+             "torque_lag": [2e-4], "switches": [{"axis": "x", "home": 0.002, "zero": 0.1}]}  # fmt: skip
+    home = {"by": "switch", "farthest": 0.03, "speed": 5e-3, "latch_speed": 1e-3, "at": 0.002, "move_to": 0.0}
+    axis = rigs.one_axis().config.axes["x"].model_dump(mode="json", exclude_none=True)
+    found = pushed(tmp_path, io.StringIO(), plant=plant, axes={"x": axis | {"home": home}})
     assert found.refused == {}
     assert found.found["push_coulomb"].holds(rigs.COULOMB)
     assert [path.name for path in tmp_path.iterdir()] == ["x-push"]
+
+
+@pytest.mark.live
+@pytest.mark.usefixtures("no_signals")
+def test_a_key_that_is_let_go_ends_a_live_experiment(tmp_path: Path) -> None:
+    """The recording is not kept, and the drives have zero torque within the heartbeat's time."""
+    said, looks = io.StringIO(), list[bool]()
+
+    def held() -> bool:
+        """For a while after it has begun to move."""
+        looks.extend([True] * ("activated" in said.getvalue()))
+        return len(looks) < 40
+
+    with pytest.raises(LiveError, match="the space bar was let go, and the stage stopped"):
+        pushed(tmp_path, said, lambda: contextlib.nullcontext(held), safety=LATE | {"heartbeat_s": 1.0})
+    run = load_run(tmp_path / "x-push.part")
+    assert run.summary()["faults"] == ["HEARTBEAT_LOST"]
+    assert np.abs(run.columns["force"][-1]).max() == 0.0
+    assert not (tmp_path / "x-push").exists()

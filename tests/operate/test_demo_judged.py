@@ -15,6 +15,7 @@ from rich.console import Console
 
 from drivers.protocols.base import DriveStatus
 from hil.cli.exit_status import EXIT_FAULT
+from hil.cycle.axis_homing import HOMING_REQUIRED
 from hil.cycle.tick import CommandKind
 from hil.operate import demo as demo_module
 from hil.operate import demo_live, demo_virtual
@@ -95,6 +96,64 @@ def test_a_rig_that_an_operator_stopped_stays_so_until_an_operator_goes_on(
     assert conversation.heard == [CommandKind.ACTIVATE_HOLD] * 2
     assert heard == [1] * 11 + [2], "at first, and in the end, when the operator had let it go on"
     assert "stopped by an operator; to go on: hil command microscope activate-hold" in said.export_text()
+
+
+class Unhomed(Conversation):
+    """A rig that is ACTIVE only once it is homed. completes: HOMING comes to its end, nobody stops it."""
+
+    def __init__(self, *statuses: pb.Status, completes: bool) -> None:
+        super().__init__(*statuses)
+        self._completes = completes
+
+    def command(self, kind: CommandKind) -> Verdict:
+        homed = self._completes and CommandKind.HOME in self.heard
+        super().command(kind)
+        refused = kind is CommandKind.ACTIVATE and not homed
+        return Verdict(not refused, f"refused: {HOMING_REQUIRED}: x" if refused else "", "-")
+
+
+@pytest.mark.parametrize("completes", [True, False])
+def test_a_rig_that_is_yet_to_be_homed_is_homed_once(
+    completes: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And moved no more where an operator stopped that."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    said = Console(record=True, width=120, file=io.StringIO())
+    names = ("READY", "READY", "HOMING", "READY", "READY", "READY")
+    statuses = [pb.Status(state=name, fault="NONE", recording=True) for name in names]
+    conversation = Unhomed(*statuses, completes=completes)
+    monkeypatch.setattr(demo_live, "local_client", lambda _: contextlib.nullcontext(conversation))
+    demo = Demo(Scene(load_rig(RIG), RIG, (), tmp_path, tmp_path), said, Signals(), insists=True, holds=False)
+    while conversation.statuses:
+        demo._look(cast(RigClient, conversation))
+    first = [CommandKind.ACTIVATE, CommandKind.HOME, CommandKind.ACTIVATE]
+    assert conversation.heard[:3] == first
+    assert ("to go on: hil command microscope home" in said.export_text()) is not completes
+    assert len(conversation.heard) == (5 if completes else 3), "a stage that was stopped is left alone"
+
+
+def test_a_stage_moves_only_while_a_key_is_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    rig = load_rig(RIG, ["safety.heartbeat_s=1e-6"])
+    held = [False, False, True, True, False]
+    statuses = [pb.Status(state=name, fault="NONE", recording=True) for name in ("READY",) * 3 + ("ACTIVE",) * 2]
+    conversation = Conversation(*statuses)
+    monkeypatch.setattr(demo_live, "local_client", lambda _: contextlib.nullcontext(conversation))
+    demo = Demo(
+        Scene(rig, RIG, (), tmp_path, tmp_path),
+        Console(file=io.StringIO()),
+        Signals(),
+        insists=False,
+        holds=False,
+        held=lambda: held.pop(0),
+    )
+    heard = []
+    while conversation.statuses:
+        demo._look(cast(RigClient, conversation))
+        heard.append(conversation.heard.copy())
+        conversation.heard.clear()
+    beat = CommandKind.HEARTBEAT
+    assert heard == [[], [], [beat, CommandKind.ACTIVATE], [beat], []]
 
 
 def test_a_stop_that_this_computer_caused_ends_a_demo_that_need_not_be_live(tmp_path: Path) -> None:

@@ -17,8 +17,9 @@ from hil.live.stop_line import RigInUseError
 from hil.operate.bringup.drive_host import DriveHost
 from hil.operate.bringup.jog import NEGATIVE, POSITIVE, Jog, JogSettings, jog_settings
 from hil.operate.bringup.report_text import as_document, show
-from hil.operate.bringup.session import Bus, NoTerminalError, Session, held_keys, open_rig_port, open_session
+from hil.operate.bringup.session import Bus, Session, open_rig_port, open_session
 from hil.operate.bringup.survey import Survey, SurveyReport
+from hil.operate.keys import NoTerminalError, held_keys
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from hil.rig.segments import segment_rigs

@@ -7,12 +7,7 @@ drives' own watchdogs, as in `hil run`.
 """
 
 import contextlib
-import os
-import select
 import signal
-import sys
-import termios
-import tty
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -31,7 +26,6 @@ RELEASE_S = 0.5  # of zero torque at the end, at most; at least:
 _LEAST_RELEASE_TICKS = 10
 _ALIVE_S = 0.1
 _STATE = "BRINGUP"
-_END_OF_INPUT = "\x04"
 
 
 class Procedure(Protocol):
@@ -152,46 +146,3 @@ def _signals(session: Session) -> Iterator[None]:
     finally:
         for number, handler in before:
             signal.signal(number, handler)
-
-
-class NoTerminalError(Exception):
-    """There is nothing to read held keys from."""
-
-
-@contextlib.contextmanager
-def held_keys(source: Path | None = None) -> Iterator[Callable[[], str]]:
-    """A function that returns the keys pressed since its last call, without waiting.
-
-    source: read from this pipe instead of the terminal; its end counts as a key that ends a jog. Raises
-    NoTerminalError where standard input is no terminal.
-    """
-    if source is None and not sys.stdin.isatty():
-        raise NoTerminalError("jogging needs a terminal: torque is applied only while one of its keys is held")
-    fd = sys.stdin.fileno() if source is None else os.open(source, os.O_RDONLY | os.O_NONBLOCK)
-    before = termios.tcgetattr(fd) if source is None else None
-    poll = select.poll()
-    poll.register(fd, select.POLLIN)
-    seen = False
-
-    def keys() -> str:
-        nonlocal seen
-        if not poll.poll(0):
-            return ""
-        try:
-            text = os.read(fd, 256).decode(errors="replace")
-        except OSError:  # the terminal is gone
-            return _END_OF_INPUT
-        seen = seen or bool(text)
-        return text or (_END_OF_INPUT if seen else "")  # a pipe that nobody writes to yet is not at its end
-
-    try:
-        if before is not None:
-            tty.setcbreak(fd, termios.TCSANOW)
-            termios.tcflush(fd, termios.TCIFLUSH)  # what was typed before is no consent
-        yield keys
-    finally:
-        if before is not None:
-            with contextlib.suppress(termios.error):  # the terminal is gone
-                termios.tcsetattr(fd, termios.TCSADRAIN, before)
-        else:
-            os.close(fd)

@@ -1,0 +1,118 @@
+"""`hil identify`: what it writes, what it does not, its exit status, and the next step that it prints."""
+
+from pathlib import Path
+
+import pytest
+
+from hil.cli.app import main
+from hil.cli.exit_status import EXIT_FAULT, EXIT_UNAVAILABLE
+from hil.identify import command
+from hil.identify.command import EXIT_REFUSED
+from hil.identify.estimate import Estimate
+from hil.identify.findings import Findings
+from hil.rig.file import load_rig
+from hil.rig.shipped import by_name
+from hil.runs.api import simulate
+from tests.identify import rigs
+
+USAGE = 2
+MASS, PRESLIDING = Estimate(1.25, 0.01, "kg"), "below Coulomb friction the axis moves 1 encoder counts"
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file of it, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    file = Path("stage.toml")
+    file.write_text(by_name("rigs", Path("paper")).read_text(encoding="utf-8"), encoding="utf-8")
+    return file
+
+
+def gave(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], findings: Findings, *words: str
+) -> tuple[int, str]:
+    """Exit status and text of the command whose experiments on X find this."""
+    monkeypatch.setattr(command, "run_experiments", lambda *_: {"x": findings})
+    return hil(monkeypatch, capsys, "stage.toml", "--axes", "x", *words)
+
+
+def hil(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    monkeypatch.setattr("sys.argv", ["hil", "identify", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr()
+    return int(ended.value.code or 0), told.out + told.err
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.usefixtures("rig")
+def test_what_was_found_is_written(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """An axis without a resonance is nothing refused."""
+    found = Findings(found={"mass": MASS}, refused={"mode": "no resonance between 4 and 398 Hz"})
+    assert gave(monkeypatch, capsys, found, "--write", "new.toml")[0] == 0
+    assert load_rig(Path("new.toml")).axes["x"].model.mass == 1.25
+    status, text = gave(monkeypatch, capsys, found, "--write", "new.toml")
+    assert (status, "new.toml exists" in text) == (USAGE, True)
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.usefixtures("rig")
+def test_nothing_is_written_where_something_is_refused_until_that_is_accepted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = Findings(found={"mass": MASS}, refused={"presliding": PRESLIDING, "viscous": "one speed"})
+    status, text = gave(monkeypatch, capsys, found, "--write", "new.toml")
+    again = "hil identify stage.toml --axes x --write new.toml --accept presliding,viscous"
+    assert (status, again in text, Path("new.toml").exists()) == (EXIT_REFUSED, True, False)
+    status, text = gave(monkeypatch, capsys, found, "--write", "new.toml", "--accept", "presliding")
+    assert (status, Path("new.toml").exists()) == (EXIT_REFUSED, False), "one of two"
+    assert gave(monkeypatch, capsys, found, *again.split()[5:])[0] == 0
+    before, after = load_rig(Path("stage.toml")).axes["x"].model, load_rig(Path("new.toml")).axes["x"].model
+    assert after == before.model_copy(update={"mass": 1.25}), "the others are left as they were"
+    status, text = gave(monkeypatch, capsys, found, "--accept", "presliding,viscus")
+    assert (status, "viscus was not refused; refused: presliding, viscous" in text) == (USAGE, True)
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.usefixtures("rig")
+def test_a_dry_run_shows_what_would_change_and_writes_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, text = gave(monkeypatch, capsys, Findings(found={"mass": MASS}), "--write", "new.toml", "--dry-run")
+    assert (status, [path.name for path in Path().iterdir()]) == (0, ["stage.toml"])
+    assert "mass = 1.25" in "".join(line for line in text.splitlines() if line.startswith("+"))
+    assert "next: hil identify stage.toml --axes x --write new.toml\n" in text
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.usefixtures("rig")
+def test_an_experiment_that_ended_in_a_fault_is_told_before_all_else(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended = Findings(refused={"push": "the run ended in SPEED"}, ended="SPEED")
+    status, text = gave(monkeypatch, capsys, ended, "--write", "new.toml")
+    assert (status, Path("new.toml").exists()) == (EXIT_FAULT, False)
+    assert "push refused: the run ended in SPEED" in text
+
+
+@pytest.mark.usefixtures("rig")
+def test_a_rig_is_not_moved_without_a_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("stage.toml", "--live", "--set", "bus.interface=socketcan", "--out", "identified")
+    status, text = hil(monkeypatch, capsys, *words)
+    assert (status, "needs a terminal" in text, Path("identified").exists()) == (USAGE, True, False)
+    status, text = hil(monkeypatch, capsys, "stage.toml", "--yes")
+    assert (status, "of --live alone" in text) == (USAGE, True)
+
+
+@pytest.mark.usefixtures("rig")
+def test_a_recording_is_identified_as_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    task = {"kind": "point_to_point", "axes": ["x"], "target": [2e-3], "move_s": 0.15, "dwell_s": 0.1}
+    simulate(rigs.one_axis(task=task, law={"name": "pid"}), 3.0, record=tmp_path / "run.mcap")
+    status, text = hil(monkeypatch, capsys, "stage.toml", "--axes", "x", "--from", "run.mcap")
+    assert status in (0, EXIT_REFUSED)
+    assert "hil identify stage.toml --axes x --from run.mcap --write NEW.toml" in text
+    assert hil(monkeypatch, capsys, "stage.toml", "--axes", "y", "--from", "run.mcap")[0] not in (0, EXIT_UNAVAILABLE)
