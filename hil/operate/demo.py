@@ -21,9 +21,9 @@ from hil.operate.demo_live import (
     Interrupted,
     Scene,
     Signals,
-    by_this_computer,
     private_runtime,
 )
+from hil.operate.stalls import by_this_computer
 from hil.rig.brought import code_of
 from hil.rig.file import load_rig
 from hil.telemetry.blackbox import run_directory

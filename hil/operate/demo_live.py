@@ -7,7 +7,7 @@ import shutil
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,10 +19,10 @@ from drivers.protocols.base import DriveStatus
 from hil.cli.processes import Family
 from hil.cycle.axis_homing import HOMING_REQUIRED
 from hil.cycle.tick import CommandKind
-from hil.events.motion_causes import RINGS
 from hil.live.runtime_paths import DEMO_PREFIX, RuntimePaths, runtime_paths_in
 from hil.operate.dead_man import NAMED
 from hil.operate.monitor import EVENTS_KEPT, banner, drive_words, line, view
+from hil.operate.stalls import by_this_computer
 from hil.rig.schema import RigConfig
 from hil.telemetry import events_pb2 as pb_events
 from hil.telemetry import telemetry_pb2 as pb
@@ -34,22 +34,6 @@ STOP_S = 3.0
 RECORDED_S = 30.0  # for the sidecar to write the rest of the recording; nothing moves any more
 POLL_S = 0.02
 LINE_INTERVAL_S = 1.0
-STALL_FAULTS = (
-    "ENCODER_LOST",
-    "ENCODER_DEAD",
-    "DRIVE_WATCHDOG",
-    "DRIVE_DISABLED",
-    "OVERRUN",
-    "OVERRUN_BURST",
-    "OVERRUN_LONG",
-    "RECEIVE_FLOOD",
-    "BAD_FRAMES",
-    "TRANSMIT_REFUSED",
-    "TRANSMIT_BLOCKED",
-    "ENABLE_TIMEOUT",
-)  # faults that a host stalling the emulator or the loop for milliseconds causes
-UNSAMPLED = ("OSCILLATION", "SPEED", "FOLLOWING_ERROR", "FILTER_DIVERGED")  # what a loop without samples comes to
-AFTER_NS = 1_000_000_000  # within this time
 SHOWN_STALLS = 20  # one by one; the summary says how many there were
 RECORDING = "run.mcap"
 _IN_MOTION = ("ACTIVE", "HOMING", "STOPPING")
@@ -112,24 +96,6 @@ def private_runtime() -> Path:
     directory = base / f"{DEMO_PREFIX}{os.getpid()}"
     make_private(directory)
     return directory
-
-
-def by_this_computer(fault: str, cause: str, run_ns: int, events: Iterable[pb_events.Event]) -> bool:
-    """Whether a fault, at this time of the run, is a stall's: by its name, or because the loop was held up, or all
-    axes were silent in one tick, within AFTER_NS before it. The emulated drives are one process of this computer, too.
-    cause: of its event; a loop that rings does so at every try.
-    """
-    if cause.startswith(RINGS):
-        return False
-    if fault not in UNSAMPLED:
-        return fault in STALL_FAULTS
-    return any(0 <= run_ns - event.run_ns <= AFTER_NS and _held_up(event) for event in events)
-
-
-def _held_up(event: pb_events.Event) -> bool:
-    name = event.name.upper()
-    silent = name in STALL_FAULTS or (name == "ENCODER_GAP" and not event.axis)
-    return silent or event.kind in (pb_events.Event.TICKS_LOST, pb_events.Event.TICK_LATE)
 
 
 class Demo:

@@ -16,7 +16,7 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.mailbox import MailboxError
 from hil.live.runtime_paths import runtime_paths
-from hil.operate.demo_live import STALL_FAULTS
+from hil.operate.stalls import STALL_FAULTS
 from tests.support.live_rig import PATIENCE_S, Control, Emulator, emulated, order
 
 pytestmark = pytest.mark.live

@@ -26,7 +26,7 @@ from hil.live.mailbox import MailboxError
 from hil.live.ring import RingReader
 from hil.live.runtime_paths import runtime_paths
 from hil.live.stop_page import Page, live_pages
-from hil.operate.demo_live import STALL_FAULTS
+from hil.operate.stalls import STALL_FAULTS
 from tests.support.live_rig import CALM, HEAVY, PAPER, PATIENCE_S, Control, Emulator, emulated, order
 from tests.support.ports import free_port
 

@@ -19,7 +19,8 @@ from hil.cycle.axis_homing import HOMING_REQUIRED
 from hil.cycle.tick import CommandKind
 from hil.operate import demo as demo_module
 from hil.operate import demo_live, demo_virtual
-from hil.operate.demo_live import Demo, Scene, Signals, TooBusyError, by_this_computer, drive_report
+from hil.operate.demo_live import Demo, Scene, Signals, TooBusyError, drive_report
+from hil.operate.stalls import by_this_computer
 from hil.rig.file import load_rig
 from hil.runs.summary import load_run
 from hil.telemetry import events_pb2 as pb_events

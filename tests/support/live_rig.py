@@ -21,7 +21,7 @@ from hil.cycle.tick import CommandKind
 from hil.live.mailbox import Mailbox
 from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import runtime_paths
-from hil.operate.demo_live import STALL_FAULTS
+from hil.operate.stalls import STALL_FAULTS
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
