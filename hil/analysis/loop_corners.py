@@ -84,6 +84,11 @@ class Corner(NamedTuple):
         return ", ".join(parts) or "as the model says"
 
 
+# Margins that are asked for, dB and degrees. The nominal one is there for what the model may be off by: of a measured
+# axis that is less.
+NOMINAL, MEASURED, OFF, AT_REST = (6.0, 30.0), (4.5, 30.0), (3.0, 15.0), (4.5, 0.0)
+
+
 @dataclass(frozen=True)
 class CornerFinding:
     """One axis in one corner. frequency_hz: where the margin is smallest, or where the unstable loop rings. measured:
@@ -101,9 +106,8 @@ class CornerFinding:
     measured: bool = False
 
     def lacks(self, *, least: bool = False) -> str:
-        """What is missing to the margins that are asked for, with axis and corner. These are 6 dB (of a measured axis
-        4.5 dB) and 30 deg nominal, 3 dB and 15 deg off it, 4.5 dB at rest. With `least`: to a loop that is stable.
-        Empty for nothing.
+        """What is missing to the margins that are asked for, with axis and corner. With `least`: to a loop that is
+        stable. Empty for nothing.
         """
         short = self.shortfall(least=least)
         return f"axis '{self.axis}', {self.corner}: {short}" if short else ""
@@ -112,9 +116,8 @@ class CornerFinding:
         """The same without axis and corner."""
         if not self.stable:
             return f"the loop is unstable; it rings at {self.frequency_hz:.0f} Hz"
-        # A nominal margin is there for what the model may be off by; of a measured axis that is less.
-        sliding = (4.5 if self.measured else 6.0, 30.0) if self.nominal else (3.0, 15.0)
-        gain, phase = (4.5, 0.0) if self.at_rest else sliding
+        nominal = MEASURED if self.measured else NOMINAL
+        gain, phase = AT_REST if self.at_rest else nominal if self.nominal else OFF
         if least or (self.gain_db >= gain and self.phase_deg >= phase):
             return ""
         short = [f"a gain margin of {self.gain_db:.1f} dB (at least {gain:g})"] if self.gain_db < gain else []

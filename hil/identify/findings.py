@@ -199,10 +199,13 @@ def from_run(run: Run, axis: str) -> Findings:
     findings = Findings()
     lag = run.rig.axes[axis].model.torque_lag
     try:
+        if faults := run.summary()["faults"]:
+            raise Refused(f"the run ended in {', '.join(faults)}")
         of = signals(run, axis)
         if not of.force.size:
             raise Refused("no task ran")
-        fit = balance([Record(of.force, of.position, of.period, of.count, lag, round(0.2 / of.period))])
+        record = Record(of.force, of.position, of.period, of.count, lag, round(0.2 / of.period))
+        fit = balance([record], ordinary=True)
     except Refused as refused:
         findings.refused["force balance"] = refused.reason
         return findings

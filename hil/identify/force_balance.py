@@ -24,6 +24,9 @@ LEAST_COUNTS = 20.0  # of travel
 WIDEST = 0.5  # half width over value of what is told
 SYSTEMATIC = 0.03  # of the value: what a bristle of one length leaves out, which no block shows
 LENGTH_SYSTEMATIC = 0.07  # the same of the bristle's length: the play alone moves it by some per cent
+# What ordinary motion leaves open: by how much of Coulomb friction a place is off the travel, and how far the bristle's
+# length is off, of it, in quick motion.
+PLACE, QUICK = 0.1, 0.45
 BLOCKS = 8
 EDGE_S = 0.03  # left out at both ends, where the filter has half its data
 
@@ -176,15 +179,20 @@ def _best(parts: Sequence[Balanced], guess: float | None = None) -> tuple[float,
     return float(np.exp(found.x)), x, float(np.sqrt(rest / ((b - b.mean()) ** 2).sum()))
 
 
-def balance(records: Sequence[Record], mass: float | None = None, viscous: float | None = None) -> Balance:
+def balance(
+    records: Sequence[Record], mass: float | None = None, viscous: float | None = None, *, ordinary: bool = False
+) -> Balance:
     """Mass and viscous friction (where not given), Coulomb friction, presliding and constant force, with 95 % intervals
-    from a block jackknife: every record is a block, few are cut into BLOCKS.
+    from a block jackknife: every record is a block, few are cut into BLOCKS. ordinary: motion that no experiment
+    planned, at one place, again and again; what that does not show widens the intervals.
 
     Raises Refused where the axis hardly moved or the model leaves too much of the force unexplained.
     """
     moved = max(float(np.ptp(r.position)) / r.resolution for r in records)
     if moved < LEAST_COUNTS:
         raise Refused(f"not enough motion: {moved:.0f} encoder counts (at least {LEAST_COUNTS:.0f})")
+    if not any(np.ptp(r.force) for r in records):
+        raise Refused("the force never changed: the drives had none, or it was not recorded")
     parts = [Balanced(record, mass, viscous) for record in records]
     length, x, unexplained = _best(parts)
     if unexplained > UNEXPLAINED:
@@ -199,8 +207,27 @@ def balance(records: Sequence[Record], mass: float | None = None, viscous: float
         each, y, _ = _best(kept, length)
         without.append(np.array([np.log(each), *y]))
     half = jackknife(without)
+    if ordinary:
+        half = np.hypot(half, _unseen(parts, length, x))
     names = [*BASE, *(name for name, given in (("viscous", viscous), ("mass", mass)) if given is None)]
     return Balance(*_told(names, np.array([np.log(length), *x]), half, records[0].resolution), unexplained)
+
+
+def _unseen(parts: Sequence[Balanced], length: float, x: Array) -> Array:
+    """What repeated motion at one place leaves open, of log length and each quantity: the force that is left may all be
+    of one quantity, and friction and force are those of the place.
+    """
+    rows = [part.columns(length) for part in parts]
+    a, b = np.concatenate([r[0] for r in rows], axis=1), np.concatenate([r[1] for r in rows])
+    size = np.sqrt((a * a).mean(axis=1))
+    size[size == 0.0] = 1.0
+    spread = np.sqrt(np.diag(np.linalg.pinv((a / size[:, None]) @ (a / size[:, None]).T / b.size))) / size
+    half = spread * float(np.sqrt(((b - x @ a) ** 2).mean()))
+    place = np.zeros(half.size)
+    place[: len(BASE) - 1] = 1.0
+    if parts[0].viscous is None:
+        place[len(BASE)] = 1.0 / size[len(BASE)]
+    return np.concatenate([[QUICK], np.hypot(half, PLACE * x[0] * place)])
 
 
 def _blocks(parts: Sequence[Balanced]) -> list[Balanced]:
@@ -235,7 +262,7 @@ def _told(names: Sequence[str], x: Array, half: Array, count: float) -> tuple[di
     for name, value, width in zip(names, x[1:].tolist(), half[1:].tolist(), strict=True):
         width = float(np.hypot(width, SYSTEMATIC * abs(value) if name in ("mass", "coulomb") else 0.0))
         positive, share = name in ("mass", "coulomb"), name != "constant" and name != "bristle_damping"
-        if (positive and value <= 0.0) or (share and width > WIDEST * abs(value)):
+        if (positive and value <= 0.0) or (share and width >= WIDEST * abs(value)):
             refused[name] = (
                 f"{value:.3g} +- {width:.2g} {UNITS[name]}: not enough motion (at most {100 * WIDEST:.0f} %)"
             )

@@ -24,7 +24,7 @@ from hil.cli.console import plain_console
 from hil.cli.exit_status import EXIT_CONFIG
 from hil.cli.output import write_json
 from hil.control.law_registry import law_class
-from hil.operate.check_loop import corner_notes, corner_table, measured_findings, measured_notes
+from hil.operate.check_loop import asked_note, corner_notes, corner_table, measured_findings, measured_notes
 from hil.operate.check_sensor import check_sensor
 from hil.rig.bus_load import (
     analyse_rig,
@@ -95,6 +95,7 @@ def check_rig(
     console.print(stability_table(stability))
     console.print(corner_table(corners))
     for note in [
+        *([asked_note(stability.law, corners)] if corners else []),
         *measured_notes(rig),
         *(f"less margin than is good: {note}; next: hil tune {rig_file}" for note in corner_notes(corners)),
         *second_notes(second),

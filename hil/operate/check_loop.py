@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 
 from hil.analysis.frequency_response import LoopResponse, loop_response, measured_finding
-from hil.analysis.loop_corners import CornerFinding
+from hil.analysis.loop_corners import AT_REST, MEASURED, NOMINAL, OFF, CornerFinding
 from hil.cli.output import write_json
 from hil.rig.schema import RigConfig, RigError
 
@@ -52,6 +52,17 @@ def frd_document(rig: RigConfig, response: LoopResponse) -> dict[str, Any]:
 def corner_notes(found: Sequence[CornerFinding]) -> list[str]:
     """A line for each that is stable but has less margin than is good."""
     return [text for finding in found if finding.stable and (text := finding.lacks())]
+
+
+def asked_note(law: str, found: Sequence[CornerFinding]) -> str:
+    """Which margins are asked of the loop, and why."""
+    measured = list(dict.fromkeys(finding.axis for finding in found if finding.measured))
+    less = f" ({', '.join(measured)}, measured: {MEASURED[0]:g} dB, as less can be)" if measured else ""
+    held = f", {AT_REST[0]:g} dB where friction holds the axis" if any(one.at_rest for one in found) else ""
+    return (
+        f"asked of {law}: {NOMINAL[0]:g} dB and {NOMINAL[1]:g} deg as the model says, since that may be off{less}; "
+        f"{OFF[0]:g} dB and {OFF[1]:g} deg in corners, which are off already{held}"
+    )
 
 
 def measured_notes(rig: RigConfig) -> list[str]:

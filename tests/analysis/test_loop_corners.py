@@ -13,6 +13,7 @@ from hil.analysis.pulse_loop import PulseLoop, RigidPlant, loop_of, pulse_and_ki
 from hil.analysis.restoring import Held, pushes_away
 from hil.analysis.stability import REALISED, check_stability, is_stable, realise_poles
 from hil.control.nominal_model import rig_model
+from hil.operate.check_loop import asked_note
 from hil.rig.file import load_rig
 from hil.rig.schema import RigConfig, RigError
 from tests.support.paths import RIGS
@@ -207,6 +208,24 @@ def test_the_law_for_guides_has_its_margins_in_every_corner_of_the_microscope(fr
     found = [finding for finding in check_corners(rig) if finding.axis != "theta"]
     assert len(found) >= 3 * (5 + 13)
     assert [finding.lacks() for finding in found if finding.lacks()] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("rig", sorted(path.stem for path in RIGS.glob("*.toml")))
+def test_a_rig_we_ship_has_the_margins_that_are_asked_for(rig: str) -> None:
+    found = check_corners(load_rig(RIGS / f"{rig}.toml"))
+    assert found
+    assert [finding.lacks() for finding in found if finding.lacks()] == []
+
+
+def test_the_margins_that_are_asked_for_are_said_with_their_reason() -> None:
+    found = [CornerFinding("x", "as the model says", False, True, True, 7.0, 40.0, 50.0, measured=True)]
+    words = asked_note("pid", found)
+    assert words.startswith(
+        "asked of pid: 6 dB and 30 deg as the model says, since that may be off (x, measured: 4.5"
+    )
+    assert "friction holds" not in words
+    assert "4.5 dB where friction holds the axis" in asked_note("pid", [replace(found[0], at_rest=True)])
 
 
 def write_response(path: Path, frequency: np.ndarray, response: np.ndarray) -> Path:
