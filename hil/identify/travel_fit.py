@@ -5,7 +5,7 @@ The balance is linear except for the periods along the travel, which are searche
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,8 @@ SYSTEMATIC = {
     "coulomb": 0.001, "viscous": 0.015, "friction_variation": 0.03, "friction_period": 0.001,
     "cogging_amplitude": 0.01, "cogging_period": 0.006,
 }  # fmt: skip
+UNSEEN = 3.0  # times these, where friction may vary along the travel and no sinusoid was told
+PHASE = 0.015  # rad, the same of a sinusoid's phase
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
 
 
@@ -82,10 +84,13 @@ def travel_fit(
         part = _without_speed(part, other)
         shifted = _refined(part, waves)
         y, _ = _solve(part, shifted)
-        without.append(np.array([other, *_told(y, shifted, points).values(), *_drift(part, shifted, y).values()]))
-    half = jackknife(without).tolist()
-    values = {"viscous": viscous, **_told(x, waves, points), **_drift(level, waves, x)}
-    systematic = {name: share * values[name] for name, share in SYSTEMATIC.items() if name in values}
+        told = (*_told(y, shifted, points, -centre).values(), *_drift(part, shifted, y).values())
+        without.append(np.array([other, *told]))
+    values = {"viscous": viscous, **_told(x, waves, points, -centre), **_drift(level, waves, x)}
+    half = jackknife(_unwrapped(without, values)).tolist()
+    unseen = 1.0 if waves else UNSEEN
+    systematic = {name: unseen * share * values[name] for name, share in SYSTEMATIC.items() if name in values}
+    systematic |= {name: PHASE for name in values if name.endswith("_phase")}
     systematic["constant"] = SYSTEMATIC["coulomb"] * values["coulomb"]  # the sinusoids' ends go into either
     if residual < rounding:
         spread = {"viscous": max(speeds) - min(speeds), "coulomb": 1.0, "constant": 1.0}
@@ -105,8 +110,8 @@ def travel_fit(
             refused["cable_stiffness"] = f"{name} looks like it: {refused[name]}"
             found.pop("cable_stiffness", None)
         if name in refused:
-            found.pop(name, None)
-            found.pop(period_of, None)
+            for gone in (name, period_of, period_of.replace("period", "phase")):
+                found.pop(gone, None)
     curves = _curves(level, centre, rest, [p.speed for p in passes], float(x[0]), viscous)
     return TravelFit(found, refused, residual, curves)
 
@@ -114,8 +119,16 @@ def travel_fit(
 WAVES = ((True, "friction_variation", "friction_period"), (False, "cogging_amplitude", "cogging_period"))
 UNITS = {
     "coulomb": "N", "constant": "N", "viscous": "N s/m", "cable_stiffness": "N/m", "friction_variation": "1",
-    "friction_period": "m", "cogging_amplitude": "N", "cogging_period": "m", "position_drift": "m",
+    "friction_period": "m", "friction_phase": "rad", "cogging_amplitude": "N", "cogging_period": "m",
+    "cogging_phase": "rad", "position_drift": "m",
 }  # fmt: skip
+
+
+def _unwrapped(without: Sequence[Array], values: Mapping[str, float]) -> list[Array]:
+    """Phases as near to the whole fit's as whole turns allow."""
+    phases = np.array([name.endswith("_phase") for name in values])
+    whole = np.array(list(values.values()))
+    return [np.where(phases, whole + np.angle(np.exp(1j * (each - whole))), each) for each in without]
 
 
 def _curves(
@@ -209,18 +222,21 @@ def _refined(points: Points, waves: Sequence[tuple[bool, float]]) -> list[tuple[
     return list(zip(kinds, np.exp(done.x).tolist(), strict=True))
 
 
-def _told(x: Array, waves: Sequence[tuple[bool, float]], points: Points) -> dict[str, float]:
-    """Quantities by name; friction and force of the place as their means over the travel of all passes."""
+def _told(x: Array, waves: Sequence[tuple[bool, float]], points: Points, zero: float) -> dict[str, float]:
+    """Quantities by name; friction and force of the place as their means over the travel of all passes, the waves'
+    phases at the axis' zero.
+    """
     told = dict(zip(BASE, x.tolist(), strict=False))
     low, high = float(points.position.min()), float(points.position.max())
     for i, (odd, length) in enumerate(waves):
         at, turn = len(BASE) + 2 * i, 2.0 * np.pi / length
         sine, cosine = x[at : at + 2].tolist()
         size = float(np.hypot(sine, cosine))
+        phase = math.remainder(math.atan2(cosine, sine) + zero * turn, 2.0 * math.pi)
         if odd:
-            told |= {"friction_variation": size / told["coulomb"], "friction_period": length}
+            told |= {"friction_variation": size / told["coulomb"], "friction_period": length, "friction_phase": phase}
         else:
-            told |= {"cogging_amplitude": size, "cogging_period": length}
+            told |= {"cogging_amplitude": size, "cogging_period": length, "cogging_phase": phase}
         ends = np.array([low, high]) * turn
         mean = sine * float(np.diff(-np.cos(ends))[0]) + cosine * float(np.diff(np.sin(ends))[0])
         told["coulomb" if odd else "constant"] += mean / (turn * (high - low))

@@ -6,6 +6,7 @@ error of each quantity (median and worst), how often its interval held the truth
 
 import argparse
 import math
+import time
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.identify.estimate import Estimate
-from hil.identify.experiments import SWEEP_REACH
+from hil.analysis.flexible_plant import AxisDynamics
+from hil.identify.estimate import Array, Estimate
+from hil.identify.experiments import SWEEP_REACH, Plan
+from hil.identify.frequency_fit import LEAST_COHERENCE, Response
 from hil.identify.lockstep import Trial, identify, in_virtual_time
 from hil.rig.file import load_rig
 from hil.rig.schema import AxisConfig, RigConfig
@@ -26,7 +29,8 @@ from sim_plant.config import PlantConfig
 SWEPT = SWEEP_REACH - 0.053  # of half the travel, at constant speed
 ABSOLUTE = {  # scale, unit
     "torque_lag": (1e6, "us"), "delay": (1e6, "us"), "position_drift": (1e6, "um"), "mode_load": (1.0, ""),
-    "friction_variation": (1.0, ""),
+    "friction_variation": (1.0, ""), "friction_phase": (180.0 / math.pi, "deg"),
+    "cogging_phase": (180.0 / math.pi, "deg"),
 }  # fmt: skip
 RIG, TOLD = "microscope", ("mass", "coulomb", "viscous", "gravity", "torque_lag")
 EMPTY = {"mass": 0.6, "gravity": 0.8, "coulomb": 0.0, "viscous": 0.0, "torque_lag": 0.0}  # shares that are known
@@ -79,6 +83,8 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
         "friction_period": of("friction_period"),
         "cogging_amplitude": waves[0].amplitude,
         "cogging_period": waves[0].period,
+        "friction_phase": of("friction_phase"),
+        "cogging_phase": waves[0].phase + math.pi,  # of the force that holds against it
         "position_drift": 0.0,
         "delay": of("encoder_latency"),
     }
@@ -99,6 +105,23 @@ def following(run: Run) -> float:
     return float(np.nanmax(np.abs(run.columns["following_error"]) / limits))
 
 
+def pushed(run: Run, plan: Plan, axis: str) -> float:
+    """How far the push moved the axis from where it stood, m."""
+    seconds, position = run.columns["task_ns"] * 1e-9, run.columns["position"][:, run.axes.index(axis)]
+    during = position[(seconds >= plan.gains["from_s"]) & (seconds < plan.gains["until_s"])]
+    return float(np.abs(during - during[0]).max())
+
+
+def response_errors(measured: Response, truth: Mapping[str, float], period: float) -> tuple[Array, Array]:
+    """Of the lines between 10 and 300 Hz that the axis followed: dB and degrees."""
+    hertz = measured.frequency_hz
+    counts = (hertz >= 10.0) & (hertz <= 300.0) & (measured.coherence > LEAST_COHERENCE)
+    mode = [truth.get(key, 0.0) for key in ("mode_frequency_hz", "mode_damping", "mode_load")]
+    axis = AxisDynamics(truth["mass"], truth["torque_lag"], *mode, truth["viscous"])
+    ratio = (measured.response / axis.response(2.0 * np.pi * hertz, period))[counts]
+    return np.abs(20.0 * np.log10(np.abs(ratio))), np.abs(np.degrees(np.angle(ratio)))
+
+
 class Errors:
     """Of identified quantities, stage by stage."""
 
@@ -111,9 +134,11 @@ class Errors:
         """Of one axis, printed at once."""
         for name, why in refused.items():
             print(f"{stage}: {name} refused: {why}", flush=True)
-        for name, value in truth.items():
+        for name, true in truth.items():
             if name in found:
-                one = found[name]
+                one, value = found[name], true
+                if name.endswith("_phase"):
+                    value = one.value + math.remainder(true - one.value, 2.0 * math.pi)
                 self._errors[name].append(abs(one.value - value) / (1.0 if name in ABSOLUTE else abs(value)))
                 self._held[name].append(one.holds(value))
                 print(f"{stage}: {name} {one.value:.5g} +- {one.half_width:.2g}, truth {value:.5g}", flush=True)
@@ -138,7 +163,9 @@ def main() -> None:
     parser.add_argument("--empty", action="store_true", help="begin with an empty model")
     parser.add_argument("--count", type=float, default=0.0, help="of the encoder, m (rad); 0: the rig file's")
     words = parser.parse_args()
-    errors, followed, faults = Errors(), list[float](), 0
+    errors, followed, ways, faults = Errors(), list[float](), list[float](), 0
+    decibels, degrees = list[Array](), list[Array]()
+    began_s = time.process_time()
     for number in range(words.first, words.first + words.stages):
         off = None if words.empty else words.off
         rig, truth = hidden(words.axis, words.seed, number, words.mode, off, words.count)
@@ -147,15 +174,30 @@ def main() -> None:
         def runner(trial: Trial, shares: list[float] = shares) -> tuple[Run, str]:
             run, digest = in_virtual_time(trial)
             shares.append(following(run))
+            if trial.experiment == "push":
+                ways.append(pushed(run, trial.plan, trial.axis))
             return run, digest
 
         found = identify(rig, Path("."), [words.axis], lambda text: None, runner=runner)[words.axis]
         errors.add(f"stage {number}", found.found, found.refused, truth)
         followed.append(max(shares))
+        if found.response:
+            for kind, values in zip(
+                (decibels, degrees), response_errors(found.response, truth, rig.period_ns * 1e-9), strict=True
+            ):
+                kind.append(values)
         faults += bool(found.ended)
     errors.show()
     middle, worst = np.median(followed), max(followed)
     print(f"following error over its limit: median {middle:.2f}, worst {worst:.2f}; stages with a fault {faults}")
+    unit = "urad" if words.axis == "theta" else "um"
+    print(f"first push: median {np.median(ways) * 1e6:.0f} {unit}, worst {max(ways) * 1e6:.0f} {unit}")
+    for kind, unit in ((decibels, "dB"), (degrees, "degrees")):
+        lines = np.concatenate(kind)
+        print(
+            f"frequency response, {unit}: median {np.median(lines):.2g}, worst {lines.max():.2g} of {lines.size} lines"
+        )
+    print(f"{(time.process_time() - began_s) / words.stages:.1f} s of CPU a stage")
 
 
 if __name__ == "__main__":

@@ -33,7 +33,8 @@ def test_friction_and_what_varies_along_the_travel() -> None:
     for name, truth, within in (
         ("coulomb", mean, 0.002), ("constant", CONSTANT, 0.005), ("viscous", VISCOUS, 0.05),
         ("friction_variation", 0.1, 0.05), ("friction_period", 0.009, 0.01),
-        ("cogging_amplitude", 0.03, 0.1), ("cogging_period", 0.024, 0.02),
+        ("cogging_amplitude", 0.03, 0.1), ("cogging_period", 0.024, 0.02), ("friction_phase", 1.0, 0.02),
+        ("cogging_phase", 0.5 * math.pi, 0.05),
     ):  # fmt: skip
         assert found[name].value == pytest.approx(truth, rel=within), name
     assert found["coulomb"].holds(mean)
