@@ -7,7 +7,8 @@ from rich.table import Table
 
 from hil.identify.estimate import Estimate
 from hil.identify.findings import Findings
-from hil.identify.written import changes, model_values
+from hil.identify.written import measured_values, model_values
+from hil.rig.measured_table import changed
 from hil.rig.schema import RigConfig
 
 
@@ -36,7 +37,7 @@ def show(console: Console, rig: RigConfig, findings: dict[str, Findings]) -> Non
 def _changes(rig: RigConfig, axis: str, one: Findings) -> list[str]:
     """Since the measurement that the rig file tells of."""
     before = rig.axes[axis].measured
-    return [] if before is None else changes(before, one.found)
+    return [] if before is None else changed(before, measured_values(one.found))
 
 
 def _unit(estimate: Estimate, kind: str) -> str:

@@ -10,7 +10,6 @@ import tomlkit
 from tomlkit.items import InlineTable
 
 from hil.identify.estimate import Estimate
-from hil.rig.measured_table import MeasuredConfig
 
 MODEL_KEYS = ("mass", "coulomb", "viscous", "torque_lag", "mode_frequency_hz", "mode_damping", "mode_load")
 DIGITS = 6
@@ -68,16 +67,6 @@ def measured_values(found: Mapping[str, Estimate]) -> dict[str, list[float]]:
         one = found["constant"]
         named["gravity"] = one._replace(value=-one.value)
     return {key: [_rounded(one.value) + 0.0, _rounded(one.half_width)] for key, one in named.items()}
-
-
-def changes(before: MeasuredConfig, found: Mapping[str, Estimate]) -> list[str]:
-    """What left both intervals since the measurement before: wear, a screw, a cable. A line each."""
-    told = []
-    for key, (value, width) in measured_values(found).items():
-        then = getattr(before, key)
-        if then is not None and abs(value - then[0]) > max(width, then[1]):
-            told.append(f"{key} was {then[0]:.5g} +- {then[1]:.2g}, is {value:.5g} +- {width:.2g}")
-    return told
 
 
 def _rounded(value: float) -> float:

@@ -1,5 +1,6 @@
 """[axes.NAME.measured]: what `hil identify` measured of an axis, and how well; `hil check` goes by it."""
 
+from collections.abc import Mapping, Sequence
 from typing import Annotated, NamedTuple
 
 from pydantic import Field
@@ -30,6 +31,18 @@ class MeasuredConfig(Table):
     )
     date: str = key("", "day of the measurement")
     evidence: str = key("", "recording or runs that it comes from, with hashes")
+
+
+def changed(before: MeasuredConfig, now: Mapping[str, Sequence[float]]) -> list[str]:
+    """What left both intervals since the measurement before: wear, a screw, a cable. A line each. now: by quantity,
+    value and half width.
+    """
+    told = []
+    for quantity, (value, width) in now.items():
+        then = getattr(before, quantity)
+        if then is not None and abs(value - then[0]) > max(width, then[1]):
+            told.append(f"{quantity} was {then[0]:.5g} +- {then[1]:.2g}, is {value:.5g} +- {width:.2g}")
+    return told
 
 
 class Tolerances(NamedTuple):

@@ -19,9 +19,11 @@ from hil.cli.options import JsonTarget
 from hil.cli.output import drawable, metres, write_json
 from hil.events.table import Kind
 from hil.rig.difference import rig_differences
+from hil.rig.file import load_rig
 from hil.runs.api import EXPORTS, Run, load_run
 from hil.runs.baseline import document_of, lines, losses
 from hil.runs.last import last_runs, named_or_last
+from hil.runs.measured_trend import as_document, show_trends, trends
 from hil.telemetry.recording import RecordingError
 
 _RUN = "a recording (run.mcap), the folder that holds one, or an exported .npz"
@@ -68,8 +70,12 @@ def diff(
 ) -> None:
     """Compare two runs: keys of the rig, figures, events, and the largest differences by tick.
 
-    Exit status 0: every tick is the same; 1: they differ; 74: ticks are missing from one of them.
+    Of two rig files, what `hil identify` measured. Exit status 0: every tick is the same, or no value left both
+    intervals; 1: they differ; 74: ticks are missing from one of them.
     """
+    if first and second and first.suffix == second.suffix == ".toml":
+        _diff_measured(first, second, json_target)
+        return
     if first is None or second is None:
         chosen = [first] if first else []
         first, second = [*chosen, *last_runs(2 - len(chosen))]
@@ -84,6 +90,16 @@ def diff(
     tell_loss(first, one)
     tell_loss(second, other)
     if not document["same"]:
+        raise typer.Exit(1)
+
+
+def _diff_measured(first: Path, second: Path, json_target: str) -> None:
+    one, other = load_rig(first), load_rig(second)
+    found = trends(one, other)
+    show_trends(plain_console(stderr=json_target == "-"), found, one, other)
+    if json_target:
+        write_json(as_document(found), json_target)
+    if any(trend.left for trend in found):
         raise typer.Exit(1)
 
 

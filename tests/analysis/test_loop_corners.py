@@ -221,9 +221,7 @@ def test_a_rig_we_ship_has_the_margins_that_are_asked_for(rig: str) -> None:
 def test_the_margins_that_are_asked_for_are_said_with_their_reason() -> None:
     found = [CornerFinding("x", "as the model says", False, True, True, 7.0, 40.0, 50.0, measured=True)]
     words = asked_note("pid", found)
-    assert words.startswith(
-        "asked of pid: 6 dB and 30 deg as the model says, since that may be off (x, measured: 4.5"
-    )
+    assert words.startswith("asked of pid: 6 dB and 30 deg as the model says, since that may be off (x, measured: 4.5")
     assert "friction holds" not in words
     assert "4.5 dB where friction holds the axis" in asked_note("pid", [replace(found[0], at_rest=True)])
 

@@ -22,7 +22,7 @@ from hil.rig.shipped import by_name
 from hil.runs.api import load_run
 from hil.studies.evidence.stages import nominal, plant_of
 from sim_plant.config import PlantConfig
-from tests.benchmarks.hidden_stages import RIG, SWEPT, Errors, following, told_wrongly, truth_of_axis
+from tests.benchmarks.hidden_stages import RIG, SWEPT, TOLD, Errors, following, told_wrongly, truth_of_axis
 
 STARTS, UNAVAILABLE = 6, 69
 ROOM = {"overrun_zero_s": 0.15, "overrun_streak": 150, "silent_stop_ticks": 100, "silent_zero_ticks": 150}
@@ -33,7 +33,10 @@ def draw(seed: int, number: int, mode_hz: float, folder: Path) -> PlantConfig:
     whole = nominal(load_rig(by_name("rigs", Path(RIG)), ["bus.interface=local"]), mode_hz)
     mine = {key: getattr(whole.plant, key) for key in ("encoder_resolution", "initial_position")}
     plant = plant_of(whole, seed, number, mode_hz).model_copy(update=mine)
-    axes = {name: told_wrongly(axis, 0.3) for name, axis in whole.axes.items()}
+    axes = {
+        name: told_wrongly(axis, {key: 0.7 * getattr(axis.model, key) for key in TOLD})
+        for name, axis in whole.axes.items()
+    }
     rig = whole.model_copy(update={"axes": axes, "plant": plant, "name": f"hidden{number}"})
     document = rig.model_dump(mode="json", exclude_none=True)
     document["safety"] |= ROOM

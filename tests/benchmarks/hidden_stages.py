@@ -33,7 +33,7 @@ ABSOLUTE = {  # scale, unit
     "cogging_phase": (180.0 / math.pi, "deg"),
 }  # fmt: skip
 RIG, TOLD = "microscope", ("mass", "coulomb", "viscous", "gravity", "torque_lag")
-EMPTY = {"mass": 0.6, "gravity": 0.8, "coulomb": 0.0, "viscous": 0.0, "torque_lag": 0.0}  # shares that are known
+EMPTY = ({"mass": 0.5, "gravity": 0.8}, {"mass": 2.0, "gravity": 1.2})  # what is known, over the truth; by turns
 
 
 def hidden(
@@ -46,18 +46,24 @@ def hidden(
     whole = only(nominal(load_rig(by_name("rigs", Path(RIG)), other), mode_hz), [axis])
     plant = plant_of(whole, seed, number, mode_hz)
     mine = {key: getattr(whole.plant, key) for key in ("encoder_resolution", "initial_position")}
-    axes = {axis: told_wrongly(whole.axes[axis], off)}
+    known = EMPTY[number % 2] if off is None else dict.fromkeys(TOLD, 1.0 - off)
+    told = plant if off is None else whole.axes[axis].model
+    axes = {axis: told_wrongly(whole.axes[axis], {key: share * _first(told, key) for key, share in known.items()})}
     drives = whole.drives.model_copy(update={"brake": [axis == "z"]})
     rig = whole.model_copy(update={"axes": axes, "drives": drives, "plant": plant.model_copy(update=mine)})
     return rig, truth_of_axis(plant, axis, 0, SWEPT * axes[axis].limits.position[1])
 
 
-def told_wrongly(axis: AxisConfig, off: float | None) -> AxisConfig:
-    """With a model that is too small by this share in everything, or empty, and knows no resonance."""
-    shares = EMPTY if off is None else dict.fromkeys(TOLD, 1.0 - off)
-    wrong: dict[str, Any] = {key: getattr(axis.model, key) * share for key, share in shares.items()}
-    wrong |= {"mode_frequency_hz": 0.0, "presliding": []}
+def told_wrongly(axis: AxisConfig, known: Mapping[str, float]) -> AxisConfig:
+    """With a model of these values, which knows no resonance, and nothing of what is not named."""
+    wrong: dict[str, Any] = {**dict.fromkeys(TOLD, 0.0), **known, "mode_frequency_hz": 0.0, "presliding": []}
     return axis.model_copy(update={"model": axis.model.model_copy(update=wrong)})
+
+
+def _first(values: object, key: str) -> float:
+    """Of a plant of one axis, or of a model."""
+    value = getattr(values, key)
+    return float(value[0] if isinstance(value, list) else value)
 
 
 def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> dict[str, float]:

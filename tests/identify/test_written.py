@@ -8,10 +8,10 @@ from drivers.base.toml_file import toml_text
 from hil.analysis.loop_corners import check_corners
 from hil.analysis.stability import REALISED
 from hil.identify.estimate import Estimate
-from hil.identify.written import changes, rig_text
+from hil.identify.written import measured_values, rig_text
 from hil.operate.check_loop import measured_notes
 from hil.rig.file import load_rig
-from hil.rig.measured_table import Tolerances
+from hil.rig.measured_table import Tolerances, changed
 from hil.rig.shipped import by_name
 
 FOUND = {
@@ -66,8 +66,8 @@ def test_a_second_identification_is_written_over_the_first_and_its_changes_are_t
     assert old is not None
     assert new is not None
     assert (new.mass, new.date, new.evidence) == ([1.236, 0.001], "2026-02-01", "b")
-    assert changes(old, again) == ["mass was 1.2346 +- 0.001, is 1.236 +- 0.001"]
-    assert changes(old, FOUND) == []
+    assert changed(old, measured_values(again)) == ["mass was 1.2346 +- 0.001, is 1.236 +- 0.001"]
+    assert changed(old, measured_values(FOUND)) == []
 
 
 @pytest.mark.long
