@@ -6,6 +6,7 @@ import hashlib
 import shlex
 import sys
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -101,6 +102,9 @@ def identify(
     if picture or responses:
         _report(asked, findings, picture, responses)
     refused = _refused(findings, accept)
+    evidence = f"hil {version('hil')}, {evidence}"
+    if responses:
+        evidence += f"; frequency responses in {responses}"
     _write(asked, findings, evidence, refused, _Writing(write, shlex.join(again), dry=dry))
     if any(one.ended for one in findings.values()):
         raise typer.Exit(EXIT_FAULT)

@@ -1,5 +1,6 @@
 """`hil identify`: what it writes, what it does not, its exit status, and the next step that it prints."""
 
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,10 @@ def test_what_was_found_is_written(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     """An axis without a resonance is nothing refused."""
     found = Findings(found={"mass": MASS}, refused={"mode": "no resonance between 4 and 398 Hz"})
     assert gave(monkeypatch, capsys, found, "--write", "new.toml")[0] == 0
-    assert load_rig(Path("new.toml")).axes["x"].model.mass == 1.25
+    axis = load_rig(Path("new.toml")).axes["x"]
+    assert axis.model.mass == 1.25
+    assert axis.measured is not None
+    assert axis.measured.evidence.startswith(f"hil {version('hil')}, in virtual time")
     status, text = gave(monkeypatch, capsys, found, "--write", "new.toml")
     assert (status, "new.toml exists" in text) == (USAGE, True)
 

@@ -74,3 +74,28 @@ def test_a_lag_delays_a_step_of_force() -> None:
     after = lagged(step, 1e-3, 1e-3)
     exact = [1.0 - math.exp(-k) * (1.0 - math.exp(-1.0)) for k in range(5)]
     assert after[5:] == pytest.approx(exact)
+
+
+def test_a_force_that_never_changed_tells_nothing() -> None:
+    """Of drives without torque, as a recording that ended in a fault has them."""
+    position = 1e-3 * np.sin(np.arange(500) / 50.0)
+    with pytest.raises(Refused, match="the force never changed"):
+        balance([Record(np.full(500, 0.2), position, PERIOD, 5e-9)])
+
+
+def test_motion_at_one_place_leaves_open_what_lies_elsewhere() -> None:
+    """A force that follows the place looks like mass in a sine: the interval of an ordinary recording allows for it."""
+
+    def follow(t: float, x: float, v: float) -> float:
+        w = 2.0 * math.pi * 2.0
+        return 5000.0 * (2e-3 * math.sin(w * t) - x) + 100.0 * (2e-3 * w * math.cos(w * t) - v) + 20.0 * x
+
+    force, position = record(Bristle(0.3, 5e-6, 20.0), follow, 2.0, mass=1.7, viscous=2.0)
+    force = force - 20.0 * position  # the stage's own spring, which no fit knows
+    one = [Record(force, position, PERIOD, 5e-9, skip=100)]
+    planned, ordinary = balance(one).found, balance(one, ordinary=True).found
+    assert not planned["mass"].holds(1.7)
+    assert ordinary["mass"].value == planned["mass"].value
+    for quantity in ("mass", "coulomb", "constant"):
+        assert ordinary[quantity].half_width > planned[quantity].half_width
+    assert ordinary["coulomb"].half_width > 0.03

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from hil.analysis.flexible_plant import AxisDynamics
 from hil.identify.estimate import Refused
-from hil.identify.frequency_fit import Pass, fit_axis, response_of
+from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
 
 PERIOD, FINE, BASE = 1e-3, 40, 200
 LINES = range(1, 80, 2)  # 5 to 395 Hz
@@ -87,3 +88,29 @@ def test_noise_that_drowns_the_lines_is_refused() -> None:
 def test_too_few_passes_are_refused() -> None:
     with pytest.raises(Refused, match="pairs of passes"):
         response_of(passes(False)[:4], PERIOD, LINES, BASE)
+
+
+def answered(hertz: np.ndarray, response: np.ndarray) -> Response:
+    """Six pairs of passes that differ by a thousandth."""
+    random = np.random.default_rng(3)
+    passes = response * (1.0 + 1e-3 * random.normal(size=(6, hertz.size)))
+    deviation = 4e-4 * np.abs(response)
+    return Response(hertz, response, deviation, np.ones(hertz.size), passes)
+
+
+def test_an_axis_with_two_resonances_is_refused() -> None:
+    hertz = np.arange(6.0, 390.0, 4.0)
+    one, other = (AxisDynamics(MASS, LAG, mode, 0.02, 0.2, VISCOUS) for mode in (90.0, 210.0))
+    omega = 2.0 * np.pi * hertz
+    both = one.response(omega, PERIOD) + other.response(omega, PERIOD)
+    with pytest.raises(Refused, match=r"chi\^2 \d+ per degree of freedom .at most 20.: no axis of one mode fits"):
+        fit_axis(answered(hertz, both), PERIOD, 0.5)
+
+
+def test_a_resonance_beyond_the_lines_is_not_told() -> None:
+    hertz = np.arange(6.0, 160.0, 2.0)
+    axis = AxisDynamics(MASS, LAG, 180.0, 0.02, 0.3, VISCOUS).response(2.0 * np.pi * hertz, PERIOD)
+    fit = fit_axis(answered(hertz, axis), PERIOD, 0.5)
+    assert "is outside the excited 6 to 158 Hz" in fit.refused["mode"]
+    assert "mode_frequency_hz" not in fit.found
+    assert fit.found["mass"].value == pytest.approx(MASS, rel=0.01)
