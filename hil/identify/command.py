@@ -16,7 +16,7 @@ from hil.cli.exit_status import EXIT_FAULT, EXIT_FILE, EXIT_UNAVAILABLE
 from hil.cli.options import JsonTarget, Overrides, ReadRig, named_axes
 from hil.cli.output import drawable, write_json
 from hil.identify.experiments import EXPERIMENTS
-from hil.identify.findings import Findings, from_run
+from hil.identify.findings import NOT_SEEN, Findings, from_run
 from hil.identify.lockstep import identify as run_experiments
 from hil.identify.written import model_values, rig_text
 from hil.rig.file import load_rig
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from hil.operate.dead_man import Handle
 
 EXIT_REFUSED = 4  # something was measured, and something was refused
-NOT_SEEN = ("mode", "friction_variation", "cogging_amplitude", "cable_stiffness")  # an axis may have none
 
 
 def identify(

@@ -15,7 +15,7 @@ from hil.identify.experiments import PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan
 from hil.identify.force_balance import Record, balance
 from hil.identify.frequency_fit import Complex, Pass, Response, fit_axis, response_of
 from hil.identify.places import SpeedPass
-from hil.identify.prediction import AxisForces
+from hil.identify.prediction import AxisForces, Unexplained
 from hil.identify.signals import Signals, signals
 from hil.identify.travel_fit import TravelCurves, travel_fit
 from hil.rig.schema import AxisConfig
@@ -27,6 +27,7 @@ WEIGHED = 0.06  # of a mass that is found from accelerations, what no block show
 MOST_UNEXPLAINED, LEAST_UNEXPLAINED = 2.0, 0.02  # of what moves leave; of Coulomb friction besides
 LEAST_LOOP = 3  # encoder counts, of the smaller loops
 FULL = 0.9  # of the largest triangle's range of force
+NOT_SEEN = ("mode", "friction_variation", "cogging_amplitude", "cable_stiffness")  # an axis may have none
 PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
 
 
@@ -34,8 +35,8 @@ PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
 class Findings:
     """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment; ended: the faults
     that ended the experiments, empty where none did. To look at: the frequency response, that of the axis fitted to it,
-    what the travel showed, and loops of position (m) and force (N). validation: force that is left unexplained, N RMS,
-    in a motion that no fit used and in `moves`.
+    what the travel showed, loops of position (m) and force (N), and the motion that no fit used (checked). validation:
+    force that is left unexplained, N RMS, in that motion and in `moves`.
     """
 
     found: dict[str, Estimate] = field(default_factory=dict)
@@ -49,6 +50,7 @@ class Findings:
     moved: Signals | None = None
     elements: Elements | None = None
     validation: tuple[float, float] | None = None
+    checked: Unexplained | None = None
 
 
 def fitted(experiment: str, run: Run, name: str, folder: Path, plan: Plan, findings: Findings, known: Known) -> Known:
@@ -171,7 +173,8 @@ def _check(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     model = AxisForces.of(
         findings.found, findings.travel, known.mass, axis.model.viscous, _lag(findings), findings.elements
     )
-    error, own = model.unexplained(of), model.unexplained(findings.moved)
+    findings.checked = model.held_against(of)
+    error, own = findings.checked.rms, model.held_against(findings.moved).rms
     findings.validation = error, own
     most = MOST_UNEXPLAINED * own + LEAST_UNEXPLAINED * known.coulomb
     if error > most:

@@ -15,6 +15,19 @@ STALL_TICKS = 301  # about an instant without samples
 MOVING = 0.1  # of the motion's greatest speed: at rest the force may be anything within friction
 
 
+class Unexplained(NamedTuple):
+    """Of a motion: s of task time, the force that it took and what of it is left unexplained, N, (n,) each."""
+
+    seconds: Array
+    force: Array
+    rest: Array
+
+    @property
+    def rms(self) -> float:
+        """What is left, N."""
+        return float(np.sqrt((self.rest**2).mean()))
+
+
 class AxisForces(NamedTuple):
     """mass: kg, viscous: N s/m, presliding: m, lag: s; travel: friction and force of each place."""
 
@@ -48,8 +61,8 @@ class AxisForces(NamedTuple):
         turned: Array = limits @ slipping(path, self.elements.lengths) / limits.sum()
         return turned
 
-    def unexplained(self, of: Signals) -> float:
-        """Force that the motion took beyond this, N RMS over the time it moved; stalls of the computer left out."""
+    def held_against(self, of: Signals) -> "Unexplained":
+        """The force that the motion took beyond this, while it moved; stalls of the computer left out."""
         part = Balanced(Record(of.force, of.position, of.period, of.count, self.lag), None, None)
         position = part.filtered(of.position)
         friction = np.interp(position, self.travel.position, self.travel.friction)
@@ -59,4 +72,4 @@ class AxisForces(NamedTuple):
         near = np.convolve(of.stalled, np.ones(STALL_TICKS), mode="same") > 0.5
         counts = (np.abs(part.velocity) > MOVING * np.abs(part.velocity).max()) & ~near
         counts[: part.inside.start] = counts[part.inside.stop :] = False
-        return float(np.sqrt(((part.force - needed)[counts] ** 2).mean()))
+        return Unexplained(of.seconds[counts], part.force[counts], (part.force - needed)[counts])

@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 from drivers.base.named_file import save_picture
 from hil.analysis.frequency_response import COLUMNS
 from hil.cli.pictures import STYLE, UNITS
-from hil.identify.findings import Findings
+from hil.identify.findings import NOT_SEEN, Findings
 
-PANELS = 5
+PANELS = 6
 
 
 def identification_picture(path: Path, findings: Mapping[str, Findings], kinds: Mapping[str, str]) -> None:
     """One row an axis: the frequency response with its fit, friction and force along the travel, friction over speed,
-    loops at rest. kinds: of the axes, "linear" or "rotary".
+    loops at rest, the check and what was refused. kinds: of the axes, "linear" or "rotary".
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.6 * PANELS, 3.0 * len(findings)), layout="constrained")
@@ -28,6 +28,7 @@ def identification_picture(path: Path, findings: Mapping[str, Findings], kinds: 
             _bode(row[0], row[1], one, kinds[name])
             _travel(row[2], row[3], one, kinds[name])
             _loops(row[4], one, kinds[name])
+            _checked(row[5], one, kinds[name])
             row[0].set_ylabel(f"{name}: {row[0].get_ylabel()}")
         save_picture(figure, path, dpi=110)
 
@@ -82,6 +83,19 @@ def _loops(panel: Axes, one: Findings, kind: str) -> None:
     position, pushed = one.loops
     panel.plot((position - position.mean()) * to_short, pushed, linewidth=0.4)
     panel.set(xlabel=f"position about its mean, {short}", ylabel=f"force, {force}")
+
+
+def _checked(panel: Axes, one: Findings, kind: str) -> None:
+    """The motion that no fit used; above it, what was refused."""
+    refused = [name for name in one.refused if name not in NOT_SEEN]
+    panel.set_title(f"refused: {', '.join(refused)}" if refused else "", fontsize="small", color="C3")
+    if one.checked is None:
+        _not_measured(panel)
+        return
+    panel.plot(one.checked.seconds, one.checked.force, ".", markersize=1, label="force")
+    panel.plot(one.checked.seconds, one.checked.rest, ".", markersize=1, label="left unexplained")
+    panel.set(xlabel="check, s", ylabel=UNITS[kind][4])
+    panel.legend()
 
 
 def write_responses(folder: Path, findings: Mapping[str, Findings]) -> dict[str, Path]:

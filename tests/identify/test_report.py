@@ -9,6 +9,7 @@ from matplotlib.image import imread
 from hil.analysis.frequency_response import read_response
 from hil.identify.findings import Findings
 from hil.identify.frequency_fit import fit_axis, response_of
+from hil.identify.prediction import Unexplained
 from hil.identify.report import identification_picture, write_responses
 from hil.identify.travel_fit import travel_fit
 from tests.identify.test_frequency_fit import BASE, LINES, PERIOD, passes
@@ -25,6 +26,8 @@ def findings() -> Findings:
         fitted=fit_axis(response, PERIOD, 0.5).response,
         travel=travel,
         loops=(1e-6 * np.sin(turns), np.cos(turns)),
+        checked=Unexplained(turns, np.cos(turns), 0.01 * np.sin(5.0 * turns)),
+        refused={"presliding": "at the bound of the search"},
     )
 
 
