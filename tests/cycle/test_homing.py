@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.protocols.base import DriveStatus
@@ -55,6 +56,28 @@ def test_here_is_where_the_axis_stands(tmp_path: Path) -> None:
     assert homed.known
     assert run.cycle.inputs[0].position == pytest.approx(0.25, abs=2 * COUNT)
     assert homed.off == pytest.approx(0.25 - START, abs=2 * COUNT)
+
+
+@pytest.mark.parametrize(("x", "y"), [(1, 0), (0, 3), (2, 2)])
+def test_axes_home_in_their_order_and_those_of_one_number_together(x: int, y: int, tmp_path: Path) -> None:
+    way = f"by='switch', farthest={FARTHEST}, speed=0.1, latch_speed=0.01, at={PLACE}"
+    switches = ", ".join(f'{{axis="{axis}", home={PLACE}, zero={ZERO}}}' for axis in "xy")
+    more = [
+        f"plant.switches=[{switches}]",
+        f"plant.initial_position=[{START}, {START}]",
+        f"axes.x.home={{{way}, order={x}}}",
+        f"axes.y.home={{{way}, order={y}}}",
+    ]
+    places: list[list[float]] = []
+    _, homed = home_once(homing_rig("switch", tmp_path, more=more), tmp_path, places=places)
+    moves = np.abs(np.diff(np.array(places), axis=0)) > COUNT
+    assert (homed.state, homed.known) == (State.READY, True), homed.why
+    first, last = moves.argmax(axis=0), len(moves) - 1 - moves[::-1].argmax(axis=0)
+    if x == y:
+        assert abs(first[0] - first[1]) <= 2
+    else:
+        early, late = (1, 0) if y < x else (0, 1)
+        assert first[late] > last[early], "it is held until the other is done"
 
 
 def test_where_the_axis_is_wanted_it_goes_at_last(tmp_path: Path) -> None:

@@ -71,8 +71,15 @@ def homing_rig(
     )
 
 
-def home_once(rig: RigConfig, folder: Path, keep: Callable[[np.void], None] | None = None) -> tuple[LockstepRun, Homed]:
-    """Until it is homed, or a fault has stopped it. keep: called with the record of every tick."""
+def home_once(
+    rig: RigConfig,
+    folder: Path,
+    keep: Callable[[np.void], None] | None = None,
+    places: list[list[float]] | None = None,
+) -> tuple[LockstepRun, Homed]:
+    """Until it is homed, or a fault has stopped it. keep: called with the record of every tick. places: true positions
+    of all axes after every tick are added here.
+    """
     asked: list[int] = []
 
     def operator(run: LockstepRun, index: int) -> Sequence[CommandKind]:
@@ -90,6 +97,8 @@ def home_once(rig: RigConfig, folder: Path, keep: Callable[[np.void], None] | No
         if keep is not None:
             keep(record)
         place = float(run.true_position[0])
+        if places is not None:
+            places.append(run.true_position.tolist())
         if run.cycle.state is State.HOMING and start != start:
             start = place
         way = max(way, abs(place - start)) if start == start else 0.0
