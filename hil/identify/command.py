@@ -17,6 +17,7 @@ from hil.cli.options import JsonTarget, Overrides, ReadRig, named_axes
 from hil.cli.output import drawable, write_json
 from hil.identify.experiments import EXPERIMENTS
 from hil.identify.findings import NOT_SEEN, Findings, from_run
+from hil.identify.first_state import with_first_state
 from hil.identify.lockstep import identify as run_experiments
 from hil.identify.written import model_values, rig_text
 from hil.rig.file import load_rig
@@ -168,10 +169,13 @@ def _write(asked: _Asked, findings: dict[str, Findings], evidence: str, refused:
         asked.say(f"next: {into.again.replace(' --dry-run', '')}{target}")
     else:
         try:
+            text, begins = with_first_state(text, into.to, findings, asked.config)
             into.to.write_text(text, encoding="utf-8")
         except OSError as error:
             asked.say(f"hil: {into.to}: {error.strerror}")
             raise typer.Exit(EXIT_FILE) from None
+        if begins:
+            asked.say(begins)
         asked.say(f"written to {into.to}; next: hil check {shlex.quote(str(into.to))}")
 
 

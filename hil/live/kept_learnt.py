@@ -2,7 +2,8 @@
 
 One file a rig, as of `hil learnt`, in the user's state folder, written when the control process has ended. An emulated
 stage on the local bus is another stage: its file is in the runtime directory, as all else of it. An axis whose stage,
-law or rate is another than that it was learnt on begins without.
+law or rate is another than that it was learnt on begins without. Where the rig file names a state to begin with, what
+runs have learnt since they began with that one takes its place; another one named takes the place of both.
 """
 
 import importlib.metadata
@@ -13,8 +14,8 @@ from drivers.base.runtime import state_folder, write_private
 from drivers.bus.port import resolve_interface
 from hil.control.law_registry import is_built_in, law_class
 from hil.live.runtime_paths import runtime_paths
-from hil.rig.file import learning_hash, learning_hashes
-from hil.rig.learnt_file import LearntFileError, learnt_text, read_states
+from hil.rig.file import document_hash, learning_hash, learning_hashes
+from hil.rig.learnt_file import LearntFileError, begun_with, learnt_text, read_states
 from hil.rig.schema import RigConfig
 
 
@@ -26,23 +27,26 @@ def kept_path(rig: RigConfig) -> Path:
 
 
 def with_kept(rig: RigConfig, *, fresh: bool) -> tuple[RigConfig, str]:
-    """The rig that begins with what is kept of it and keeps what it learns, and a line that says so.
+    """The rig that begins with what is kept of it, else with what its file names, and keeps what it learns; and a line
+    that says so. It stays as it was, without a line, where its law keeps nothing.
 
-    It stays as it was, without a line, where its law keeps nothing or the rig file says what to begin with.
-    fresh: begin with nothing.
+    fresh: begin with nothing that earlier runs have learnt.
     """
     law = rig.law
-    if law.learnt or not is_built_in(law) or not law_class(law).learns_repeats:
+    if not is_built_in(law) or not law_class(law).learns_repeats:
         return rig, ""
-    path, states, line = kept_path(rig), dict[str, list[float]](), ""
+    path, states, line = kept_path(rig), dict[str, list[float]](), f"begins with {law.learnt}" if law.learnt else ""
+    named = law.learnt_state if law.learnt else [[] for _ in rig.axes]
+    origin = document_hash({"state": named}) if law.learnt else ""
     if not fresh and path.exists():
         try:
-            states = read_states(path, _hashes(rig))
-            line = _line(rig, path, states)
+            if not origin or begun_with(path) == origin:
+                states = read_states(path, _hashes(rig))
+                line = _line(rig, path, states)
         except LearntFileError as error:
-            line = f"{error}; nothing learnt is used"
-    state = [states.get(name, []) for name in rig.axis_names]
-    kept = law.model_copy(update={"learnt_on": learning_hash(rig), "learnt_state": state})
+            line = f"{error}; {line or 'nothing learnt is used'}"
+    state = [states.get(name, own) for name, own in zip(rig.axis_names, named, strict=True)]
+    kept = law.model_copy(update={"learnt": "", "learnt_on": origin, "learnt_state": state})
     return rig.model_copy(update={"law": kept}), line
 
 
@@ -55,7 +59,7 @@ def keep(rig: RigConfig, states: Sequence[Sequence[float]]) -> Path | None:
         return None
     path = kept_path(rig)
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    write_private(path, learnt_text(rig.name, learning_hash(rig), _hashes(rig), state))
+    write_private(path, learnt_text(rig.name, learning_hash(rig), _hashes(rig), state, rig.law.learnt_on))
     return path
 
 

@@ -1,6 +1,7 @@
 """Files of what a law has learnt: JSON with hashes of what it was learnt on, of the rig's and of each axis'.
 
-`hil learnt RUN` writes one from a recording, and `hil run` at its end; `law.learnt` names it.
+`hil learnt RUN` writes one from a recording, `hil identify --write` beside a rig file, and `hil run` at its end;
+`law.learnt` names it.
 """
 
 import json
@@ -18,9 +19,14 @@ class LearntFileError(ValueError):
     """A file that holds nothing learnt; the text says what is wrong with it."""
 
 
-def learnt_text(rig_name: str, learnt_on: str, axes: dict[str, str], state: dict[str, list[float]]) -> str:
-    """The content of a file. axes: by axis, the hash of what it was learnt on. state: likewise, as its law gives it."""
-    return json.dumps({"rig": rig_name, "rig_hash": learnt_on, "axes": axes, "state": state}) + "\n"
+def learnt_text(
+    rig_name: str, learnt_on: str, axes: dict[str, str], state: dict[str, list[float]], begun: str = ""
+) -> str:
+    """The content of a file. axes: by axis, the hash of what it was learnt on. state: likewise, as its law gives it; an
+    axis without values has learnt nothing. begun: hash of the named state that the learning began with; "": of none.
+    """
+    document = {"rig": rig_name, "rig_hash": learnt_on, "axes": axes, "state": state}
+    return json.dumps(document | ({"begun_with": begun} if begun else {})) + "\n"
 
 
 def write_learnt_file(
@@ -31,10 +37,10 @@ def write_learnt_file(
 
 
 def read_learnt_file(path: Path, axes: list[str]) -> tuple[str, list[list[float]]]:
-    """The rig's hash, and the state of each of these axes. Raises LearntFileError."""
+    """The rig's hash, and the state of each of these axes; an empty one has learnt nothing. Raises LearntFileError."""
     document = _document(path)
     found = [_state(path, document, axis) for axis in axes]
-    if len({len(values) for values in found}) > 1:
+    if len({len(values) for values in found if values}) > 1:
         raise LearntFileError(f"{path}: state: axes of different lengths")
     return str(document.get("rig_hash")), found
 
@@ -45,6 +51,11 @@ def read_states(path: Path, hashes: dict[str, str]) -> dict[str, list[float]]:
     on = document.get("axes")
     known = on if isinstance(on, dict) else {}
     return {axis: _state(path, document, axis) for axis, own in hashes.items() if known.get(axis) == own}
+
+
+def begun_with(path: Path) -> str:
+    """Hash of the named state that the file's learning began with; "": of none. Raises LearntFileError."""
+    return str(_document(path).get("begun_with", ""))
 
 
 def _document(path: Path) -> dict[str, Any]:

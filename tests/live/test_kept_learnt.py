@@ -11,7 +11,8 @@ from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind
 from hil.live.kept_learnt import keep, kept_path, with_kept
-from hil.rig.file import load_rig, rig_hash
+from hil.rig.file import learning_hash, learning_hashes, load_rig, rig_hash
+from hil.rig.learnt_file import write_learnt_file
 from hil.rig.provenance import describe_run, rig_of_run
 from hil.rig.schema import RigConfig, RigError
 from hil.telemetry.recorder import LockstepRecorder
@@ -74,16 +75,44 @@ def test_a_damaged_file_is_said_and_does_not_keep_the_rig_from_running() -> None
     assert line.endswith("; nothing learnt is used")
 
 
-def test_a_law_that_keeps_nothing_and_a_file_that_the_rig_names_are_left_alone(tmp_path: Path) -> None:
+def test_a_law_that_keeps_nothing_is_left_alone() -> None:
     plain = rig("law.name=pd-feedforward")
     assert with_kept(plain, fresh=False) == (plain, "")
     assert keep(plain, []) is None
     assert keep(plain, [[], []]) is None
     assert not kept_path(plain).exists()
-    path = keep(rig(), STATE)
-    named = rig(f"law.learnt={path}")
-    assert with_kept(named, fresh=False) == (named, "")
-    assert named.law.learnt_state == STATE
+
+
+def named(path: Path, x: float) -> RigConfig:
+    """A rig whose file names what to begin with: of x alone, as `hil identify` writes of one axis."""
+    state = {"x": [x] * 133, "y": list[float]()}
+    write_learnt_file(path, "paper", learning_hash(rig()), learning_hashes(rig()), state)
+    return rig(f"law.learnt={path}")
+
+
+def test_a_named_state_begins_until_a_run_has_learnt_from_it(tmp_path: Path) -> None:
+    first = named(tmp_path / "first.json", 0.125)
+    begun, line = with_kept(first, fresh=False)
+    assert (begun.law.learnt_state, line) == ([[0.125] * 133, []], f"begins with {tmp_path / 'first.json'}")
+    assert begun.law.keeps
+    keep(begun, STATE)
+    assert with_kept(first, fresh=False)[0].law.learnt_state == STATE, "the newer one of the same stage"
+    assert with_kept(rig(), fresh=False)[0].law.learnt_state == STATE
+    assert with_kept(first, fresh=True)[0].law.learnt_state == [[0.125] * 133, []]
+    keep(with_kept(first, fresh=False)[0], STATE[::-1])
+    assert with_kept(first, fresh=False)[0].law.learnt_state == STATE[::-1], "and so on from run to run"
+    second = named(tmp_path / "second.json", 0.375)
+    assert with_kept(second, fresh=False)[0].law.learnt_state[0] == [0.375] * 133, "identified again"
+
+
+def test_a_named_state_takes_the_place_of_what_runs_without_it_kept(tmp_path: Path) -> None:
+    keep(with_kept(rig(), fresh=False)[0], STATE)
+    one = named(tmp_path / "first.json", 0.125)
+    assert with_kept(one, fresh=False)[0].law.learnt_state == [[0.125] * 133, []]
+    kept_path(one).write_text("{")
+    begun, line = with_kept(one, fresh=False)
+    assert begun.law.learnt_state == [[0.125] * 133, []]
+    assert line.endswith(f"; begins with {tmp_path / 'first.json'}")
 
 
 def test_a_recording_has_all_of_it_beside_a_rig_that_is_the_same_as_without() -> None:

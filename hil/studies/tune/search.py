@@ -80,10 +80,12 @@ def rounded_to(digits: int, value: float) -> float:
 
 def write_gains(path: Path, law: str, gains: Mapping[str, Any], notes: Sequence[str]) -> None:
     """Put [law.tuned.<law>] into the rig file; everything else, comments included, stays as it is, except values in
-    [law.gains] that would hide what was found.
+    [law.gains] that would hide what was found, and law.learnt, which was learnt with other gains.
     """
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
     section: Any = document.setdefault("law", tomlkit.table())
+    if section.get("name", law) == law:
+        section.pop("learnt", None)
     if section.get("name", law) == law and "gains" in section:
         for name in gains:
             section["gains"].pop(name, None)

@@ -1,0 +1,117 @@
+"""What a law begins its first run with, by what was identified: weights of its friction and its force along the travel.
+
+Of the law presliding-kalman (hil/control/laws/presliding_kalman.py), whose learnt state this is. Its operators turn
+round as bristles of given lengths do, so that a bristle or slip elements become their weights by least squares.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from scipy.optimize import nnls
+
+from hil.control.gain import with_defaults
+from hil.control.law_registry import law_class
+from hil.control.laws.friction_weights import WEIGHTS
+from hil.control.laws.position_table import HALF, NODES
+from hil.control.laws.presliding_bank import slopes
+from hil.identify.elements import Elements
+from hil.identify.estimate import Array, Estimate
+from hil.identify.findings import Findings
+from hil.identify.travel_fit import TravelCurves
+from hil.rig.file import build_rig, learning_hash, learning_hashes
+from hil.rig.learnt_file import write_learnt_file
+from hil.rig.schema import RigConfig, RigError
+
+LAW = "presliding-kalman"
+COARSE = 4  # the operator that takes friction of which no presliding was found, as the law has it at the start
+WAYS, FIRST, LAST = 200, 0.1, 10.0  # compared since a reversal: number, of the shortest reach, of the longest
+EVEN = 0.05  # weight of a difference between neighbouring nodes, beside that of a measured place
+
+
+def with_first_state(text: str, file: Path, findings: Mapping[str, Findings], before: RigConfig) -> tuple[str, str]:
+    """The text of an identified rig file that is to be `file`, naming what its law begins with, which is written beside
+    it; and a line that says so, empty where its law keeps nothing. An axis that was not identified begins with what it
+    had `before`. Raises OSError.
+    """
+    document = tomlkit.parse(text)
+    law: Any = document.get("law", {})
+    law.pop("learnt", None)  # which was learnt with another model
+    try:
+        rig = build_rig(document.unwrap(), folder=file.parent)
+    except RigError as error:
+        return tomlkit.dumps(document), f"nothing to begin with is written: {error}"
+    if rig.law.name != LAW or rig.law.iterative_learning:
+        return tomlkit.dumps(document), ""
+    hashes, old = learning_hashes(rig), learning_hashes(before)
+    states = dict(zip(before.axis_names, before.law.learnt_state, strict=False))
+    kept = {name: states.get(name, []) if hashes[name] == old.get(name) else [] for name in rig.axis_names}
+    identified = {name: state_of(rig, name, one) for name, one in findings.items() if one.found}
+    beside = file.with_suffix(".learnt.json")
+    write_learnt_file(beside, rig.name, learning_hash(rig), hashes, kept | identified)
+    law["learnt"] = beside.name
+    return tomlkit.dumps(document), f"{beside}: what its law begins with ({', '.join(identified)})"
+
+
+def state_of(rig: RigConfig, name: str, findings: Findings) -> list[float]:
+    """first_state of an axis of the identified rig."""
+    model, at = rig.axes[name].model, rig.axis_names.index(name)
+    gains = with_defaults(law_class(rig.law).GAINS, rig.law.effective_gains())
+    finest, pitch = (float(np.broadcast_to(gains[key], len(rig.axes))[at]) for key in ("finest", "table_pitch"))
+    found, hold = findings.found, 0.0 - model.gravity
+    return first_state(found, findings.elements, findings.travel, hold, model.coulomb, finest=finest, pitch=pitch)
+
+
+def first_state(
+    found: Mapping[str, Estimate], elements: Elements | None, travel: TravelCurves | None, hold: float, coulomb: float,
+    *, finest: float, pitch: float,
+) -> list[float]:  # fmt: skip
+    """Weights of the law's operators (N), of the mass beyond the model's (kg), and the force at every node of the
+    tables, forwards and backwards (N). hold, coulomb: N, of the model that the law begins with; finest, pitch: m, gains
+    of the law. What was not found is as the law begins without.
+    """
+    friction = found["coulomb"].value if "coulomb" in found else coulomb
+    weights = _weights(found, elements, friction, finest)
+    mass = [0.0] * (WEIGHTS - len(weights))
+    if travel is None or not travel.position.size:
+        return [*weights, *mass, *[0.0] * (2 * NODES)]
+    rest = travel.friction - sum(weights)
+    forward, backward = (_table(travel.position, travel.place - hold + way * rest, pitch) for way in (1.0, -1.0))
+    return [*weights, *mass, *forward, *backward]
+
+
+def _weights(found: Mapping[str, Estimate], elements: Elements | None, friction: float, finest: float) -> list[float]:
+    """Of the operators, N: as friction turns with the way since a reversal."""
+    reaches = 1.0 / np.array(slopes(finest))
+    ways = np.geomspace(FIRST * reaches[0], LAST * reaches[-1], WAYS)
+    if elements is not None:
+        limits = elements.limits / elements.limits.sum()
+        turned = limits @ np.minimum(ways / elements.lengths[:, None], 2.0)
+    elif "presliding" in found:
+        turned = _turned(ways, np.array([found["presliding"].value]))[:, 0]
+    else:
+        return [friction if operator == COARSE else 0.0 for operator in range(reaches.size)]
+    shares = nnls(_turned(ways, reaches), turned)[0]
+    weights: list[float] = (shares * (friction / shares.sum())).tolist()
+    return weights
+
+
+def _turned(ways: Array, reaches: Array) -> Array:
+    """By how much bristles of these lengths have turned after these ways, of 2 in all: (ways, reaches)."""
+    turned: Array = 2.0 * (1.0 - np.exp(-ways[:, None] / reaches))
+    return turned
+
+
+def _table(position: Array, force: Array, pitch: float) -> list[float]:
+    """The law's table through these forces, by least squares. Nodes between which nothing was measured lie on a
+    straight line between their neighbours, or hold the outermost one's value.
+    """
+    nodes = np.arange(-HALF, HALF + 1)
+    place = np.clip(position / pitch, -HALF, HALF)  # beyond its nodes the law's table holds
+    shares = np.maximum(1.0 - np.abs(place[:, None] - nodes), 0.0)
+    even = EVEN * np.diff(np.eye(nodes.size), axis=0)
+    wanted = np.concatenate([force, np.zeros(len(even))])
+    table: list[float] = np.linalg.lstsq(np.vstack([shares, even]), wanted, rcond=None)[0].tolist()
+    return table
