@@ -87,8 +87,8 @@ def _told(limits: Array, lengths: Array) -> Array:
 def friction_at_rest(
     record: Record, mass: float, viscous: float
 ) -> tuple[dict[str, Estimate], dict[str, str], Elements | None]:
-    """Presliding and stiffness at rest by quantity, and what was refused: of one bristle or of slip elements, whichever
-    explains the loops better; with these elements. Raises Refused.
+    """Presliding and stiffness at rest by quantity, and what was refused: of one bristle, with its damping, or of slip
+    elements, whichever explains the loops better; with these elements. Raises Refused.
     """
     bristle: Balance | None = None
     elements: Elements | None = None
@@ -110,4 +110,5 @@ def friction_at_rest(
     length, friction = bristle.found["presliding"], bristle.found["coulomb"]
     share = math.hypot(length.half_width / length.value, friction.half_width / friction.value)
     stiffness = friction.value / length.value
-    return {"presliding": length, "stiffness": Estimate(stiffness, share * stiffness, "N/m")}, {}, None
+    found = {"presliding": length, "stiffness": Estimate(stiffness, share * stiffness, "N/m")}
+    return found | {"bristle_damping": bristle.found["bristle_damping"]}, {}, None

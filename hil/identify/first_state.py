@@ -2,15 +2,20 @@
 
 Of the law presliding-kalman (hil/control/laws/presliding_kalman.py), whose learnt state this is. Its operators turn
 round as bristles of given lengths do, so that a bristle or slip elements become their weights by least squares.
+
+A bristle's damping adds to its force while it turns, the more the faster (LuGre: Canudas de Wit and others, IEEE TAC
+40(3), 1995). The operators have no such force. So the weights are those that turn as the damped bristle does where a
+motion turns round at a usual acceleration: that of a sine of the whole travel at the greatest speed. The damping
+counts up to what those authors take, sigma_1 = sqrt(sigma_0 m): of a bristle of a few counts the loops show too much.
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
-from scipy.optimize import nnls
 
 from hil.control.gain import with_defaults
 from hil.control.law_registry import law_class
@@ -19,15 +24,18 @@ from hil.control.laws.position_table import HALF, NODES
 from hil.control.laws.presliding_bank import slopes
 from hil.identify.elements import Elements
 from hil.identify.estimate import Array, Estimate
+from hil.identify.experiments import middle
 from hil.identify.findings import Findings
 from hil.identify.travel_fit import TravelCurves
+from hil.identify.written import model_values
 from hil.rig.file import build_rig, learning_hash, learning_hashes
 from hil.rig.learnt_file import write_learnt_file
-from hil.rig.schema import RigConfig, RigError
+from hil.rig.schema import ModelConfig, RigConfig, RigError
 
 LAW = "presliding-kalman"
 COARSE = 4  # the operator that takes friction of which no presliding was found, as the law has it at the start
 WAYS, FIRST, LAST = 200, 0.1, 10.0  # compared since a reversal: number, of the shortest reach, of the longest
+SMALL = 0.05  # weight of a share, beside that of a compared way: large ones that cancel out fit no better
 EVEN = 0.05  # weight of a difference between neighbouring nodes, beside that of a measured place
 
 
@@ -48,7 +56,7 @@ def with_first_state(text: str, file: Path, findings: Mapping[str, Findings], be
     hashes, old = learning_hashes(rig), learning_hashes(before)
     states = dict(zip(before.axis_names, before.law.learnt_state, strict=False))
     kept = {name: states.get(name, []) if hashes[name] == old.get(name) else [] for name in rig.axis_names}
-    identified = {name: state_of(rig, name, one) for name, one in findings.items() if one.found}
+    identified = {name: state_of(rig, name, one) for name, one in findings.items() if model_values(one.found)}
     beside = file.with_suffix(".learnt.json")
     write_learnt_file(beside, rig.name, learning_hash(rig), hashes, kept | identified)
     law["learnt"] = beside.name
@@ -57,43 +65,52 @@ def with_first_state(text: str, file: Path, findings: Mapping[str, Findings], be
 
 def state_of(rig: RigConfig, name: str, findings: Findings) -> list[float]:
     """first_state of an axis of the identified rig."""
-    model, at = rig.axes[name].model, rig.axis_names.index(name)
+    axis, at = rig.axes[name], rig.axis_names.index(name)
     gains = with_defaults(law_class(rig.law).GAINS, rig.law.effective_gains())
     finest, pitch = (float(np.broadcast_to(gains[key], len(rig.axes))[at]) for key in ("finest", "table_pitch"))
-    found, hold = findings.found, 0.0 - model.gravity
-    return first_state(found, findings.elements, findings.travel, hold, model.coulomb, finest=finest, pitch=pitch)
+    turning = axis.limits.speed**2 / middle(axis)[1]
+    return first_state(
+        findings.found, findings.elements, findings.travel, axis.model, turning=turning, finest=finest, pitch=pitch
+    )
 
 
 def first_state(
-    found: Mapping[str, Estimate], elements: Elements | None, travel: TravelCurves | None, hold: float, coulomb: float,
-    *, finest: float, pitch: float,
+    found: Mapping[str, Estimate], elements: Elements | None, travel: TravelCurves | None, model: ModelConfig,
+    *, turning: float, finest: float, pitch: float,
 ) -> list[float]:  # fmt: skip
     """Weights of the law's operators (N), of the mass beyond the model's (kg), and the force at every node of the
-    tables, forwards and backwards (N). hold, coulomb: N, of the model that the law begins with; finest, pitch: m, gains
-    of the law. What was not found is as the law begins without.
+    tables, forwards and backwards (N). model: that the law begins with. turning: acceleration of motions that turn
+    round, m/s^2. finest, pitch: m, gains of the law. What was not found is as the law begins without.
     """
-    friction = found["coulomb"].value if "coulomb" in found else coulomb
-    weights = _weights(found, elements, friction, finest)
+    friction = found["coulomb"].value if "coulomb" in found else model.coulomb
+    weights = _weights(found, elements, friction, model.mass, turning, 1.0 / np.array(slopes(finest)))
     mass = [0.0] * (WEIGHTS - len(weights))
     if travel is None or not travel.position.size:
         return [*weights, *mass, *[0.0] * (2 * NODES)]
-    rest = travel.friction - sum(weights)
-    forward, backward = (_table(travel.position, travel.place - hold + way * rest, pitch) for way in (1.0, -1.0))
+    rest, place = travel.friction - sum(weights), travel.place + model.gravity  # which the model holds against
+    forward, backward = (_table(travel.position, place + way * rest, pitch) for way in (1.0, -1.0))
     return [*weights, *mass, *forward, *backward]
 
 
-def _weights(found: Mapping[str, Estimate], elements: Elements | None, friction: float, finest: float) -> list[float]:
-    """Of the operators, N: as friction turns with the way since a reversal."""
-    reaches = 1.0 / np.array(slopes(finest))
+def _weights(
+    found: Mapping[str, Estimate], elements: Elements | None, friction: float, mass: float, turning: float,
+    reaches: Array,
+) -> list[float]:  # fmt: skip
+    """Of the operators, N: as friction turns with the way since a reversal. reaches: m, of the operators."""
     ways = np.geomspace(FIRST * reaches[0], LAST * reaches[-1], WAYS)
     if elements is not None:
         limits = elements.limits / elements.limits.sum()
         turned = limits @ np.minimum(ways / elements.lengths[:, None], 2.0)
     elif "presliding" in found:
-        turned = _turned(ways, np.array([found["presliding"].value]))[:, 0]
+        length = found["presliding"].value
+        damping = found["bristle_damping"].value / friction if "bristle_damping" in found else 0.0
+        time = min(max(damping, 0.0), math.sqrt(mass * length / friction))  # s, of force over its rate
+        rate = 2.0 / length * np.exp(-ways / length) * np.sqrt(2.0 * turning * ways)
+        turned = _turned(ways, np.array([length]))[:, 0] + time * rate
     else:
         return [friction if operator == COARSE else 0.0 for operator in range(reaches.size)]
-    shares = nnls(_turned(ways, reaches), turned)[0]
+    rows = np.vstack([_turned(ways, reaches), SMALL * np.eye(reaches.size)])
+    shares = np.linalg.lstsq(rows, np.concatenate([turned, np.zeros(reaches.size)]), rcond=None)[0]
     weights: list[float] = (shares * (friction / shares.sum())).tolist()
     return weights
 

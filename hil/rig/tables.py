@@ -167,7 +167,9 @@ class LawConfig(Table):
     tuned: dict[str, dict[str, Any]] = key({}, "[law.tuned.LAW]: the gains `hil tune` found, per law")
     iterative_learning: bool = key(False, "learn from repetition: the task is one that repeats")
     learnt: str = key(
-        "", 'what an earlier run of this rig learnt: a file of `hil learnt RUN`, beside the rig file; "": nothing'
+        "",
+        "what the law begins with: a file of `hil learnt RUN` or `hil identify --write`, beside the rig file; "
+        '"": nothing',
     )
     learnt_on: str = key("", "hash of what it was learnt on; filled in when the rig is loaded")
     learnt_state: list[list[float]] = key([], "content of that file, by axis; filled in when the rig is loaded", "1")

@@ -18,8 +18,9 @@ from hil.control.laws.base import Array
 from hil.identify.first_state import state_of
 from hil.identify.lockstep import identify
 from hil.identify.written import measured_values, model_values
-from hil.rig.file import build_rig, load_rig
-from hil.rig.schema import RigConfig
+from hil.rig.file import load_rig
+from hil.rig.measured_table import MeasuredConfig
+from hil.rig.schema import ModelConfig, RigConfig
 from hil.rig.shipped import by_name
 from hil.studies.evidence.stages import columns, nominal, only, plant_of
 from hil.studies.evidence.trials import LONG, TRIALS, trajectory_of
@@ -68,28 +69,25 @@ def main() -> None:
 
 def alone(rig: RigConfig, plant: PlantConfig, at: int) -> RigConfig:
     """The rig of one axis with a drawn stage, of which it is number `at`."""
-    name, n = rig.axis_names[0], len(plant.mass) if isinstance(plant.mass, list) else 1
-    own: dict[str, Any] = {
-        key: [value[at]]
-        for key, value in plant
-        if isinstance(value, list) and key not in ("cogging", "modes") and n > 1 and len(value) == n
-    }
-    own |= {key: [part for part in getattr(plant, key) if part.axis == name] for key in ("cogging", "modes")}
+    name, parts = rig.axis_names[0], ("cogging", "modes")
+    lists = {key: value for key, value in plant if isinstance(value, list) and value and key not in parts}
+    own: dict[str, Any] = {key: [value[at]] for key, value in lists.items()}
+    own |= {key: [part for part in getattr(plant, key) if part.axis == name] for key in parts}
     own |= {key: getattr(rig.plant, key) for key in ("encoder_resolution", "initial_position")}
     return rig.model_copy(update={"plant": plant.model_copy(update=own)})
 
 
 def identified(rig: RigConfig, stage: RigConfig) -> tuple[RigConfig, list[float]]:
     """The rig of one axis as `hil identify --write` writes it of a stage, and what its law begins with."""
-    (name,) = rig.axis_names
+    ((name, axis),) = rig.axes.items()
     findings = identify(stage, Path(), [name], lambda text: None)[name]
-    document = rig.model_dump(mode="json", exclude_none=True)
-    document["axes"][name]["model"] |= model_values(findings.found)
-    document["axes"][name]["measured"] = {
-        **measured_values(findings.found), "date": "2026-11-28", "evidence": "in virtual time",
-    }  # fmt: skip
-    known = build_rig(document)
-    return known, state_of(known, name, findings)
+    measured = {**measured_values(findings.found), "date": "2026-11-28", "evidence": "in virtual time"}
+    known = {
+        "model": ModelConfig.model_validate(axis.model.model_dump() | model_values(findings.found)),
+        "measured": MeasuredConfig.model_validate(measured),
+    }
+    whole = rig.model_copy(update={"axes": {name: axis.model_copy(update=known)}})
+    return whole, state_of(whole, name, findings)
 
 
 def strokes(rigs: Sequence[RigConfig], truth: Truth, count: int, learnt: Sequence[Array]) -> tuple[Array, list[Array]]:
