@@ -89,7 +89,7 @@ def _check_learnt(rig: RigConfig) -> None:
         raise RigError(
             [
                 f"law.learnt = {shown(law.learnt)}: learnt on another rig (hash {short(law.learnt_on[:12])}, this "
-                f"one's is {own[:12]}): run this one without it, then `hil learnt` on that run"
+                f"one's is {own[:12]}): run this one without it (--set law.learnt=), then `hil learnt` on that run"
             ]
         )
 

@@ -244,6 +244,17 @@ def test_found_gains_are_not_hidden_by_gains_that_were_there_before(tmp_path: Pa
     assert load_rig(target).law.gains == {"beta": 50.0}
 
 
+def test_found_gains_take_out_what_was_learnt_with_others(tmp_path: Path) -> None:
+    target = tmp_path / "rig.toml"
+    target.write_text('[law]\nname = "presliding-kalman"\nlearnt = "rig.learnt.json"\n')
+    write_gains(target, "pid", {"beta": [1.0]}, [])
+    assert tomlkit.parse(target.read_text())["law"]["learnt"] == "rig.learnt.json", (
+        "which serves the law it was learnt by"
+    )
+    write_gains(target, "presliding-kalman", {"integral": [0.05]}, [])
+    assert "learnt" not in tomlkit.parse(target.read_text())["law"]
+
+
 @pytest.mark.usefixtures("short_trials")
 def test_a_candidate_pays_for_margins_it_lacks() -> None:
     rig = load_rig(PAPER, ["law.name=pd-feedforward", *SHORT])
