@@ -7,7 +7,7 @@ may have (axes.NAME.model.presliding). All corners are rows of one batch.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
@@ -105,6 +105,12 @@ class CornerFinding:
     frequency_hz: float
     measured: bool = False
 
+    @property
+    def asked(self) -> tuple[float, float]:
+        """Gain margin (dB) and phase margin (degrees) that `lacks` asks for."""
+        nominal = MEASURED if self.measured else NOMINAL
+        return AT_REST if self.at_rest else nominal if self.nominal else OFF
+
     def lacks(self, *, least: bool = False) -> str:
         """What is missing to the margins that are asked for, with axis and corner. With `least`: to a loop that is
         stable. Empty for nothing.
@@ -116,8 +122,7 @@ class CornerFinding:
         """The same without axis and corner."""
         if not self.stable:
             return f"the loop is unstable; it rings at {self.frequency_hz:.0f} Hz"
-        nominal = MEASURED if self.measured else NOMINAL
-        gain, phase = AT_REST if self.at_rest else nominal if self.nominal else OFF
+        gain, phase = self.asked
         if least or (self.gain_db >= gain and self.phase_deg >= phase):
             return ""
         short = [f"a gain margin of {self.gain_db:.1f} dB (at least {gain:g})"] if self.gain_db < gain else []
@@ -210,13 +215,19 @@ class CornerTrial(Pulsed):
 
     def findings(self) -> list[CornerFinding]:
         """What became of every axis in every corner; after the trial."""
-        rig, answer, motion = self._rig, self.answer, self.motion
-        return [
-            _finding(name, corner, axis, answer[:, at, i], motion[:, at, i], rig.rate_hz)
-            for at, corner in enumerate(self._corners)
-            for i, (name, axis) in enumerate(rig.axes.items())
-            if _dynamics(corner, axis) is not None
-        ]
+        places = [(at, i) for at in range(len(self._corners)) for i in range(len(self._rig.axes))]
+        return [found for place in places if (found := self._found(*place)) is not None]
+
+    def of_axis(self, i: int) -> Iterator[CornerFinding]:
+        """The same of one axis, corner by corner: each is worked out when it is asked for."""
+        return (found for at in range(len(self._corners)) if (found := self._found(at, i)) is not None)
+
+    def _found(self, at: int, i: int) -> CornerFinding | None:
+        """None where the corner says nothing of the axis."""
+        corner, (name, axis) = self._corners[at], list(self._rig.axes.items())[i]
+        if _dynamics(corner, axis) is None:
+            return None
+        return _finding(name, corner, axis, self.answer[:, at, i], self.motion[:, at, i], self._rig.rate_hz)
 
 
 def check_corners(rig: RigConfig, ticks: int = ANSWER) -> list[CornerFinding]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 LARGEST = 1.7976931348623157e308
 SCALES = (  # of a Knob; what each multiplies by is in hil.studies.tune.search_space.knob_scale
-    "1", "1/T", "m", "m/T", "T/m", "m/T2", "m/T3", "m2/FT", "m2/FT2", "F", "C", "count", "count/T1.5",
+    "1", "1/T", "m", "m/T", "T/m", "m/T2", "m/T3", "m2/FT", "m2/FT2", "F", "C", "count", "count/T1.5", "own",
 )  # fmt: skip
 TINIEST = 1e-300  # a least value below this means "above 0"
 
@@ -17,8 +17,9 @@ TINIEST = 1e-300  # a least value below this means "above 0"
 class Knob(NamedTuple):
     """The range `hil tune` searches a gain in, logarithmic. scale: what the numbers are multiplied by to give the gain,
     from nominal mass m, nominal Coulomb friction C, force limit F, period T and encoder count (see
-    hil.studies.tune.search_space.knob_scale). of: another gain that this one is a multiple of. density: per sqrt(s),
-    and therefore the same at every rate.
+    hil.studies.tune.search_space.knob_scale); "own": the gain that the law has where the rig file states none (its
+    default, or Law.own_gains). of: another gain that this one is a multiple of. density: per sqrt(s), and therefore the
+    same at every rate.
     """
 
     low: float
@@ -91,6 +92,8 @@ def _problem(gain: Gain, others: list[str]) -> str:
     for key, knob in (("tune", gain.tune), ("plan", gain.plan)):
         if knob is not None and (problem := _knob_problem(knob, others)):
             return f"{key}: {problem}"
+        if knob is not None and knob.scale == "own" and not (gain.default is None or _is_number(gain.default)):
+            return f"{key}: scale 'own' needs a default that is a number, or None; it is {gain.default!r}"
     return ""
 
 

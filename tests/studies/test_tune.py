@@ -23,9 +23,10 @@ from hil.studies.tune.objective import (
     Bench,
     Margins,
     margins_of,
+    rounded_to,
     trials,
 )
-from hil.studies.tune.search import front, rounded_to, search, write_gains
+from hil.studies.tune.search import front, search, write_gains
 from hil.studies.tune.search_space import knob_scale, space_of
 from hil.virtual.batch import BatchRun
 from hil.virtual.invariants import Invariants

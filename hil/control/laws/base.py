@@ -149,6 +149,11 @@ class Law(ABC):
     def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:  # noqa: B027
         """Every law is made like this. period: s. force_limit: N."""
 
+    @classmethod
+    def own_gains(cls, model: Model, period: float) -> dict[str, Number]:
+        """Of a law whose gains follow from the model: those of GAINS whose default is None. period: s."""
+        return {}
+
     def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
         """Learn from repeat to repeat, of that length from that task time on (ns). Raises ValueError naming the key."""
         raise ValueError("law.iterative_learning: this law has no learning of its own")

@@ -35,14 +35,14 @@ After the method of an independent study on LuGre and Maxwell-slip guides. Model
 
 from typing import Any, ClassVar
 
-from hil.control.gain import TINIEST, Gain, with_defaults
+from hil.control.gain import TINIEST, Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.breakaway import anywhere
 from hil.control.laws.friction_weights import WEIGHTS, FrictionWeights
 from hil.control.laws.motion_observer import ORDER, Channel, Gains, MotionModel, MotionObserver
 from hil.control.laws.position_table import NODES, PositionTable
 from hil.control.laws.presliding_bank import RATIO, Bank, averaged, moved, slopes, weighed
-from hil.control.laws.presliding_gains import of_model
+from hil.control.laws.presliding_gains import OF_MODE, of_model
 from hil.control.laws.repeat_memory import RepeatMemory
 from hil.control.number import Number, at_least, at_most, bounded, copy, full_like, root, select, zeros_like
 
@@ -56,8 +56,13 @@ CREEPING = 0.5  # of the finest reach: a larger error is an arrival or a step, a
 KEPT = WEIGHTS + 2 * NODES  # numbers of a learnt state before its force
 
 
-def _of_model(unit: str, meaning: str) -> Gain:
-    return Gain(None, unit, meaning)
+def _of_model(unit: str, meaning: str, tune: Knob | None = None) -> Gain:
+    return Gain(None, unit, meaning, tune=tune)
+
+
+def _times(low: float, high: float) -> Knob:
+    """Searched between so many times the gain that the law has by itself."""
+    return Knob(low, high, "own")
 
 
 class PreslidingKalman(Law):
@@ -68,31 +73,41 @@ class PreslidingKalman(Law):
     own_estimate: ClassVar[bool] = True
     learns_repeats: ClassVar[bool] = True
     GAINS: ClassVar[dict[str, Gain]] = {
-        "bandwidth": _of_model("rad", "natural frequency of the loop in motion times the period"),
-        "damping": _of_model("1", "damping ratio in motion"),
-        "force_noise": _of_model("1", "noise of the force in motion; see MotionModel.gains"),
-        "disturbance_noise": _of_model("1", "noise of the disturbance in motion; see MotionModel.gains"),
+        "bandwidth": _of_model("rad", "natural frequency of the loop in motion times the period", _times(0.5, 2.0)),
+        "damping": _of_model("1", "damping ratio in motion", _times(0.5, 2.0)),
+        "force_noise": _of_model("1", "noise of the force in motion; see MotionModel.gains", _times(0.3, 3.0)),
+        "disturbance_noise": _of_model(
+            "1", "noise of the disturbance in motion; see MotionModel.gains", _times(0.3, 3.0)
+        ),
         "rest_bandwidth": _of_model("rad", "natural frequency of the loop at rest times the period"),
         "rest_damping": _of_model("1", "damping ratio at rest"),
         "rest_force_noise": _of_model("1", "noise of the force at rest"),
         "rest_disturbance_noise": _of_model("1", "noise of the disturbance at rest"),
         "innovation_noise": _of_model(
-            "1", "innovation that the weights leave, in parts of how far friction moves the axis"
+            "1", "innovation that the weights leave, in parts of how far friction moves the axis", _times(0.5, 4.0)
         ),
-        "integral": _of_model("1", "share of the error that s takes in a period"),
+        "integral": _of_model("1", "share of the error that s takes in a period", _times(0.3, 4.0)),
         "ramp": Gain(0.01, "1", "share of the error that s's ramp takes in a period at rest, if presliding is stated"),
         "table_delay": _of_model("1", "periods that the disturbance's estimate lags"),
-        "mode_noise": _of_model("1", "noise of the mode; see MotionModel.gains"),
+        "mode_noise": _of_model("1", "noise of the mode; see MotionModel.gains", _times(0.3, 3.0)),
         "mode_share": _of_model("1", "of the mode's frequency: what the observer takes it for"),
         "shaken": _of_model(
             "1", "noise to the weights where the reference shakes the mode, in parts of what it makes that swing by"
         ),
         "soft_bandwidth": Gain(0.6, "rad", "an axis that rings below it on its friction's stiffness counts as soft"),
-        "friction_prior": Gain(0.3, "1", "of a weight at the start, in parts of Coulomb friction"),
+        "friction_prior": Gain(
+            0.3, "1", "of a weight at the start, in parts of Coulomb friction", tune=_times(0.3, 4.0)
+        ),
         "friction_walk": Gain(0.002, "1", "of a weight in a period, in parts of Coulomb friction"),
         "mass_prior": Gain(0.2, "1", "of the mass at the start, in parts of it"),
         "mass_walk": Gain(0.002, "1", "of the mass in a period, in parts of it"),
-        "finest": Gain(0.3e-6, "m", "smallest reach of presliding friction; the coarsest is 200 times that", TINIEST),
+        "finest": Gain(
+            0.3e-6,
+            "m",
+            "smallest reach of presliding friction; the coarsest is 200 times that",
+            TINIEST,
+            tune=_times(0.3, 3.0),
+        ),
         "play": Gain(7.5e-9, "m", "motion within it counts as noise"),
         "table_pitch": Gain(1e-3, "m", "distance of the table's nodes", TINIEST),
         "table_rate": Gain(0.8, "1", "share of the disturbance learnt on the way from node to node; 0: none"),
@@ -101,15 +116,11 @@ class PreslidingKalman(Law):
     def __init__(self, model: Model, period: float, force_limit: Number, **gains: Any) -> None:
         designed: list[Number] = gains.pop("designed", [])
         given, shape = with_defaults(self.GAINS, gains), model.mass
-        swings = full_like(shape, model.mode_frequency) * root(1.0 / (1.0 - full_like(shape, model.mode_load))) * period
+        own = self.own_gains(model, period)
 
         def gain(name: str) -> Number:
             value: Number | None = given[name]
-            if value is None:
-                return of_model(
-                    name, swings, full_like(shape, model.presliding_greatest), full_like(shape, model.known)
-                )
-            return full_like(shape, value)
+            return own[name] if value is None else full_like(shape, value)
 
         self._model, self._period, self._limit = model, period, full_like(shape, force_limit)
         if designed:
@@ -147,6 +158,14 @@ class PreslidingKalman(Law):
         self._memory: RepeatMemory | None = None
         self._kept: list[Number] = []  # weights and tables to begin with
         self.reset(zeros_like(shape), full_like(shape, model.gravity))
+
+    @classmethod
+    def own_gains(cls, model: Model, period: float) -> dict[str, Number]:
+        """See Law."""
+        shape = model.mass
+        swings = full_like(shape, model.mode_frequency) * root(1.0 / (1.0 - full_like(shape, model.mode_load))) * period
+        guided, known = full_like(shape, model.presliding_greatest), full_like(shape, model.known)
+        return {name: of_model(name, swings, guided, known) for name in OF_MODE}
 
     def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
         """See Law."""

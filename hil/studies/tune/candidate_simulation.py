@@ -40,7 +40,8 @@ class Trial(NamedTuple):
     the force limit.
     jitter: s, delay of a command, uniform in [0, 2 jitter]. loss: part of commands that never arrive. good: error in
     encoder counts, the largest one met or, with `rms`, its RMS. plant: overrides of [plant]. step: N, a constant force
-    that begins in the middle of what is judged. brief: judged over the window of its own task alone.
+    that begins in the middle of what is judged. brief: judged over the window of its own task alone, of which the first
+    `learns` seconds do not count.
     """
 
     name: str
@@ -55,14 +56,18 @@ class Trial(NamedTuple):
     plant: Mapping[str, Any] = MappingProxyType({})
     step: float = 0.0
     brief: bool = False
+    learns: float = 0.0
 
 
 class Figures(NamedTuple):
-    """Of every candidate and trial (candidates, trials): largest and RMS error, m; RMS change of force a tick, N."""
+    """Of every candidate and trial (candidates, trials): largest and RMS error, m; RMS change of force a tick, N. ever:
+    largest error of the whole run, what is not judged as well, m.
+    """
 
     largest: Array
     rms: Array
     chatter: Array
+    ever: Array
 
 
 class Schedule:
@@ -146,7 +151,10 @@ class CandidateSimulation:
         self.origin = float(origin[axis])
         tasks = [rig.task.model_copy(update=dict(trial.task)) for trial in trials]
         paths = [make_trajectory(task, rig.axis_names, origin, rig.period_ns, rig.counts) for task in tasks]
-        begins = [path.steady_from_ns // rig.period_ns + 1 if first is None else first for path in paths]
+        begins = [
+            (path.steady_from_ns + round(trial.learns * 1e9)) // rig.period_ns + 1 if first is None else first
+            for path, trial in zip(paths, trials, strict=True)
+        ]
         once = [(path.repeat_ns or 0) // rig.period_ns for path in paths]  # of a task that has no end
         ends = [
             last or (path.duration_ns // rig.period_ns + 1 if path.duration_ns else begin + ticks)
@@ -212,6 +220,12 @@ class _Plants:
         self._steps, self._steps_at = of.steps, of.steps_at
         self.position: Array = np.full((candidates, len(of._truths), 1), of._initial)  # true
         self.shown: Array = self.position.copy()  # by the encoders
+        self.look()
+
+    def look(self) -> None:
+        """Read the encoders: each reading has noise of its own."""
+        for group, stage in zip(self._groups, self._stages, strict=True):
+            self.shown[:, group] = stage.read()
 
     def stand(self, force: Array) -> None:
         """Brakes open on this force (N)."""
@@ -228,7 +242,8 @@ class _Plants:
                 stage.change(replace(stage.truth, bias=stage.truth.bias + step))
             duration = int(self._arrival[tick, group[0]] - self._arrival[tick - 1, group[0]])
             stage.advance(duration, force[:, group])
-            self.position[:, group], self.shown[:, group] = stage.position, stage.read()
+            self.position[:, group] = stage.position
+        self.look()
 
 
 class _Run:
@@ -253,12 +268,13 @@ class _Run:
     def figures(self) -> Figures:
         of = self._of
         shape = self._force.shape
-        largest, squares, changes = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        largest, squares, changes, ever = (np.zeros(shape) for _ in range(4))
         first, last = (ticks[:, None] for ticks in of._window)
         with np.errstate(all="ignore"):
             for tick in range(of._ticks):
                 before = self._force
                 self._tick(tick)
+                np.maximum(ever, np.abs(self._error), out=ever)
                 counts = (first <= tick) & (tick < last)
                 if counts.any():
                     largest = np.where(counts, np.maximum(largest, np.abs(self._error)), largest)
@@ -266,9 +282,11 @@ class _Run:
                     changes += np.where(counts, (self._force - before) ** 2, 0.0)
         count = last - first
         bad = ~(largest < LOST)
+        ever = np.where(ever < LOST, ever, LOST)
         largest = np.where(bad, LOST, np.maximum(largest, 1e-12))
         rms = np.where(bad, LOST, np.sqrt(squares / count))
-        return Figures(largest[..., 0], rms[..., 0], np.where(bad, LOST, np.sqrt(changes / count))[..., 0])
+        chatter = np.where(bad, LOST, np.sqrt(changes / count))
+        return Figures(largest[..., 0], rms[..., 0], chatter[..., 0], ever[..., 0])
 
     def _tick(self, tick: int) -> None:
         of, inputs, stage = self._of, self._inputs, self._stage
@@ -289,6 +307,8 @@ class _Run:
         self._net = [net, self._net[0]]
         if tick:  # until the first command arrives the brakes hold the stage
             stage.advance(tick, self._applied)
+        else:
+            stage.look()
         self._applied = np.where(of.schedule.lost[tick][:, None], self._applied, sent(self._force))
 
     def _times(self, tick: int) -> None:

@@ -19,7 +19,7 @@ from hil.control.laws.base import Array
 from hil.rig.schema import InjectionConfig, RigConfig, RigError
 from hil.studies.population import CORNERS
 from hil.studies.tune.candidate_simulation import CandidateSimulation, Figures, Trial
-from hil.studies.tune.search_space import knob_scale, law_gains, law_of, space_of
+from hil.studies.tune.search_space import knob_scale, law_gains, law_of, own_gains, space_of
 from hil.studies.tune.stage_trials import StageTrials
 
 SETTLE_S = 4.0
@@ -36,16 +36,22 @@ DB_PER_DEGREE = 0.2  # 6 dB and 30 degrees are the textbook's least margins: eac
 
 class Kind(StrEnum):
     """On what candidates are tried: the rig's task and its like alone; forces, cogging, a Stribeck peak and small moves
-    as well; or friction by distance, lag and mode, too.
+    as well; or friction by distance, lag and mode, too. Or on stages as `hil evidence --measured` draws them
+    (hil/studies/tune/drawn_stages.py).
     """
 
     TASK = "task"
     IDEAL = "ideal"
     STAGE = "stage"
+    DRAWN = "drawn"
 
 
-def kind_for(rig: RigConfig) -> Kind:
-    """What the rig says its stage is like."""
+def kind_for(rig: RigConfig, law: str = "") -> Kind:
+    """What the rig says its stage is like. A law whose gains follow from the model has those of every such stage: what
+    is left to gain is on this one. law: "" is the rig's own.
+    """
+    if any(knob.scale == "own" for knob in space_of(rig, law or rig.law.name).values()):
+        return Kind.DRAWN
     real = any(StageTrials(rig, axis).is_real for axis in range(len(rig.axes)))
     return Kind.STAGE if real else Kind.IDEAL
 
@@ -163,7 +169,14 @@ class Margins(NamedTuple):
 
 
 ANY = Margins(0.0, 0.0)
+DIGITS = 4  # of gains
+SLACK = Margins(0.05, 0.3)  # beyond the margins asked for: the gains are rounded to DIGITS
 NO_MARGINS = Margins(-20.0, 0.0)  # of an unstable loop: dearer than any error
+
+
+def rounded_to(digits: int, value: float) -> float:
+    """The value with so many significant digits."""
+    return float(f"{float(value):.{digits}g}")
 
 
 def margins_of(axis: AxisStability) -> Margins:
@@ -201,7 +214,8 @@ class Bench:
         self.space = {name: knob for name, knob in space_of(rig, law).items() if not only or name in only}
         self.trials = list(chosen or trials(rig))
         self._least = least
-        known = law_gains(rig, law)
+        own = own_gains(rig, law)
+        known = {name: values.tolist() for name, values in own.items()} | law_gains(rig, law)
         self._known = {name: value for name, value in known.items() if name in self.space}
         self._fixed = {
             name: value if isinstance(value, str) else float(per_axis(value, len(rig.axes))[axis])
@@ -223,8 +237,10 @@ class Bench:
         resolution = [*rig.axes.values()][axis].encoder_resolution
         self._good = np.array([trial.good for trial in self.trials]) * resolution
         self._scale = [
-            float(knob_scale(knob, model, rig.period_ns * 1e-9, self._limit, resolution)[0])
-            for knob in self.space.values()
+            float(own[name][axis])
+            if name in own
+            else float(knob_scale(knob, model, rig.period_ns * 1e-9, self._limit, resolution)[0])
+            for name, knob in self.space.items()
         ]
         defaults: dict[str, Any] = {key: gain.default for key, gain in declared(law_class(self._law).GAINS).items()}
         self._apart = self._fixed | {key: value for key, value in defaults.items() if key not in known}
@@ -267,16 +283,14 @@ class Bench:
 
     def judge(self, gains: Mapping[str, Array]) -> Outcome:
         """Every trial of every candidate; gains: (candidates,) each, of a knob that is not named the law's default."""
-        found = [simulation.run(self._law, gains, self._fixed) for simulation in self._simulations]
-        figures = Figures(*(np.concatenate(parts, axis=1) for parts in zip(*found, strict=True)))
+        figures = self.figures(gains)
         by_rms = np.array([trial.rms for trial in self.trials])
         errors = np.where(by_rms, figures.rms, figures.largest)
         ratios = errors / self._good
         worst = ratios.argmax(axis=1)
         rows = np.arange(len(errors))
-        # Noise that shakes the drives is no price for accuracy: chatter counts beyond a few per cent of the limit.
         chatter = figures.chatter.max(axis=1)
-        loud = np.log(np.maximum(chatter / (QUIET * self._limit), 1.0))
+        loud = self.loud(chatter)
         logs = np.log(ratios)
         margins = self.margins(gains)
         short = np.array([PER_DB * each.short(self._least) for each in margins])
@@ -285,8 +299,23 @@ class Bench:
         median = np.median(ratios, axis=1)
         return Outcome(errors[rows, worst], ratios[rows, worst], median, chatter, gain_db, phase_deg, cost)
 
+    def figures(self, gains: Mapping[str, Array]) -> Figures:
+        """What every candidate does in every trial; gains as in `judge`."""
+        found = [simulation.run(self._law, gains, self._fixed) for simulation in self._simulations]
+        return Figures(*(np.concatenate(parts, axis=1) for parts in zip(*found, strict=True)))
+
+    def loud(self, chatter: Array) -> Array:
+        """Noise that shakes the drives is no price for accuracy: N beyond a few per cent of the limit, logarithmic."""
+        found: Array = np.log(np.maximum(chatter / (QUIET * self._limit), 1.0))
+        return found
+
     def margins(self, gains: Mapping[str, Array]) -> list[Margins]:
         """One per candidate: `hil check` on a rig that has one copy of the axis for every candidate."""
+        report = check_stability(self.copies(gains), kicked=False, ticks=ANSWER)
+        return [margins_of(axis) for axis in report.axes.values()]
+
+    def copies(self, gains: Mapping[str, Array]) -> RigConfig:
+        """The rig with one copy of the axis for every candidate."""
         rig, count = self.rig, next(iter(gains.values())).size if gains else 1
         lists = {name: values.tolist() for name, values in gains.items()}
         law = self._law.model_copy(update={"gains": {**self._fixed, **lists}, "tuned": {}})
@@ -296,6 +325,4 @@ class Bench:
             | {"parameters": rig.estimator.parameters_of(self.axis)}
         )
         copies = dict.fromkeys((f"c{index}" for index in range(count)), [*rig.axes.values()][self.axis])
-        copied = rig.model_copy(update={"law": law, "estimator": estimator, "axes": copies})
-        report = check_stability(copied, kicked=False, ticks=ANSWER)
-        return [margins_of(axis) for axis in report.axes.values()]
+        return rig.model_copy(update={"law": law, "estimator": estimator, "axes": copies})

@@ -10,12 +10,13 @@ from hil.studies.tune.objective import trials_of
 from hil.studies.tune.search import Choice, Found, front
 from hil.studies.tune.search_space import law_of
 
+AIM = "target 1.0"  # of the cost that the progress line tells
 SAME = 0.01  # relative: no more than this is no change worth a word
 
 
-def announced(rig: RigConfig, law: str, choice: Choice) -> str:
+def announced(rig: RigConfig, law: str, choice: Choice, names: Sequence[str]) -> str:
     """The line before the search: how much it is, and how to have less of it."""
-    (population, generations), axes = choice.size, ", ".join(rig.axis_names)
+    (population, generations), axes = choice.size, ", ".join(names)
     tried = len(trials_of(rig, 0, choice.trials, choice.repeats))
     chosen = law_of(rig, law)
     quick = is_built_in(chosen) or law_class(chosen).elementwise
@@ -26,29 +27,29 @@ def announced(rig: RigConfig, law: str, choice: Choice) -> str:
     )
 
 
-def achieved(rig: RigConfig, found: Sequence[Found]) -> str:
+def achieved(rig: RigConfig, names: Sequence[str], found: Sequence[Found]) -> str:
     """The line written beside the gains."""
     parts = []
-    for name, axis in zip(rig.axis_names, found, strict=True):
+    for name, axis in zip(names, found, strict=True):
         error, _, _, _, gain_db, phase_deg, _ = (float(values[0]) for values in axis.now.searched)
         kept = " (kept)" if axis.kept else ""
         parts.append(f"{name} {metres(error, rig.axes[name].kind)}, {gain_db:.1f} dB, {phase_deg:.0f} deg{kept}")
     return f"error in the worst trial, gain and phase margin: {'; '.join(parts)}"
 
 
-def show(console: Any, rig: RigConfig, found: Sequence[Found]) -> None:
+def show(console: Any, rig: RigConfig, names: Sequence[str], found: Sequence[Found]) -> None:
     """Tables, what was traded against what, and the trade among all candidates met."""
     from rich.table import Table
 
     title = "the file's gains -> those found; costs as multiples of a good result (target 1.0)"
     columns = ("error", "worst", "median", "unseen: worst", "median", "chatter", "gain margin", "phase margin")
     table = Table("axis", *columns, "", title=title)
-    for name, axis in zip(rig.axis_names, found, strict=True):
+    for name, axis in zip(names, found, strict=True):
         table.add_row(name, *_row(axis, rig.axes[name].kind), "kept" if axis.kept else "new")
     console.print(table)
-    for name, axis in zip(rig.axis_names, found, strict=True):
+    for name, axis in zip(names, found, strict=True):
         console.print(f"{name}: {verdict(axis)}", markup=False)
-    for name, axis in zip(rig.axis_names, found, strict=True):
+    for name, axis in zip(names, found, strict=True):
         kind = rig.axes[name].kind
         for column, sign, unit in ((1, 1.0, "chatter per tick"), (2, -1.0, "dB of gain margin")):
             trade = front(axis.met[:, [0, column]] * [1.0, sign])

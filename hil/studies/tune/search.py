@@ -17,11 +17,21 @@ from hil.cli.output import replace_text
 from hil.control.laws.base import Array
 from hil.rig.schema import RigConfig, RigError
 from hil.studies.tune.candidate_simulation import LOST
-from hil.studies.tune.objective import Bench, Kind, Margins, Outcome, margins_of, trials_of, unseen_trials
+from hil.studies.tune.drawn_search import DrawnFound, tune_drawn
+from hil.studies.tune.objective import (
+    DIGITS,
+    SLACK,
+    Bench,
+    Kind,
+    Margins,
+    Outcome,
+    margins_of,
+    rounded_to,
+    trials_of,
+    unseen_trials,
+)
 
-DIGITS = 4
 UNSEEN = 12  # plants that no search has seen
-SLACK = Margins(0.05, 0.3)  # beyond the margins asked for: the gains are rounded to DIGITS
 
 
 class Start(StrEnum):
@@ -71,11 +81,6 @@ def search(
     except RuntimeError as error:  # scipy's, of whatever a law raises in a trial
         raise error.__cause__ or error from None
     return result.x, np.concatenate(met)
-
-
-def rounded_to(digits: int, value: float) -> float:
-    """The value with so many significant digits."""
-    return float(f"{float(value):.{digits}g}")
 
 
 def write_gains(path: Path, law: str, gains: Mapping[str, Any], notes: Sequence[str]) -> None:
@@ -150,7 +155,7 @@ def is_better(new: Judged, old: Judged, least: Margins) -> bool:
 
 class Choice(NamedTuple):
     """What to search, and on what. size: candidates per generation, and generations. only: these knobs, all if empty.
-    unseen: plants to judge by at the end.
+    unseen: plants to judge by at the end. On drawn stages `least`, `start` and `repeats` say nothing.
     """
 
     size: tuple[int, int]
@@ -163,8 +168,12 @@ class Choice(NamedTuple):
     unseen: int = UNSEEN
 
 
-def tune_axis(rig: RigConfig, law: str, axis: int, choice: Choice, report: Callable[[Outcome], None]) -> Found:
+def tune_axis(
+    rig: RigConfig, law: str, axis: int, choice: Choice, report: Callable[[Outcome], None]
+) -> Found | DrawnFound:
     """Search one axis' gains, and hold what is found against the rig file's own."""
+    if choice.trials is Kind.DRAWN:
+        return tune_drawn(rig, law, axis, choice.size, choice.seed, report, only=choice.only, fresh=choice.unseen)
     least = choice.least
     wanted = Margins(*(value + slack if value else 0.0 for value, slack in zip(least, SLACK, strict=True)))
     chosen = trials_of(rig, axis, choice.trials, choice.repeats)
@@ -177,7 +186,7 @@ def tune_axis(rig: RigConfig, law: str, axis: int, choice: Choice, report: Calla
     return Found(old, new, met, bench.known_gains() if kept else found, kept)
 
 
-def all_or_none(found: Sequence[Found]) -> list[Found]:
+def all_or_none(found: Sequence[Found | DrawnFound]) -> list[Found | DrawnFound]:
     """Of a file that does not state every gain that was searched no axis can keep its own while another changes: all
     keep theirs then, unless every one found better.
     """
@@ -196,7 +205,7 @@ class AxisSearch(NamedTuple):
     choice: Choice
 
 
-def run_search(job: AxisSearch) -> Found:
+def run_search(job: AxisSearch) -> Found | DrawnFound:
     """As tune_axis, on whatever machine this is."""
     rig = RigConfig.model_validate_json(job.rig)
     return tune_axis(rig, job.law, job.axis, job.choice, lambda outcome: None)
