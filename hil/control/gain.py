@@ -17,9 +17,9 @@ TINIEST = 1e-300  # a least value below this means "above 0"
 class Knob(NamedTuple):
     """The range `hil tune` searches a gain in, logarithmic. scale: what the numbers are multiplied by to give the gain,
     from nominal mass m, nominal Coulomb friction C, force limit F, period T and encoder count (see
-    hil.studies.tune.search_space.knob_scale); "own": the gain that the law has where the rig file states none (its
-    default, or Law.own_gains). of: another gain that this one is a multiple of. density: per sqrt(s), and therefore the
-    same at every rate.
+    hil.studies.tune.search_space.knob_scale). A scale of "own" is the gain that the law has where the rig file states
+    none: its default, or Law.own_gains. of: another gain that this one is a multiple of. density: per sqrt(s), and
+    therefore the same at every rate.
     """
 
     low: float

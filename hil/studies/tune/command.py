@@ -34,7 +34,7 @@ from hil.studies.tune.search_space import law_gains, own_gains, space_of
 from hil.virtual.sim import usable
 
 WIDTH = 120  # characters of a table that goes to a file
-GENERATIONS, DRAWN_GENERATIONS = 30, 6
+GENERATIONS, DRAWN_GENERATIONS = 30, 4
 LEAST = Margins(6.0, 30.0)
 
 
@@ -46,7 +46,7 @@ def tune(
     axes: Annotated[str, typer.Option(help="comma-separated, the others keep theirs; default: all of the rig's")] = "",
     population: Annotated[int, typer.Option(min=5, max=1000, help="candidates per generation")] = 40,
     generations: Annotated[
-        int | None, typer.Option(min=1, max=1000, help="generations per axis; default: 30, on drawn stages 6")
+        int | None, typer.Option(min=1, max=1000, help="generations per axis; default: 30, on drawn stages 4")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="seed of the search")] = 1,
     margin: Annotated[
@@ -110,16 +110,11 @@ def tune(
     names = [axis_name for axis_name in rig.axis_names if axis_name in wanted]
     if len(names) < len(rig.axes):
         _refuse_unknown(rig, name, chosen)
+    kind = trials or kind_for(rig, name)
     choice = _choice(
-        (population, generations),
-        seed,
-        (margin, phase_margin),
-        start,
-        chosen,
-        repeats,
-        trials or kind_for(rig, name),
-        unseen,
-    )
+        kind, (population, generations), (margin, phase_margin),
+        seed=seed, start=start, only=chosen, repeats=repeats, unseen=unseen,
+    )  # fmt: skip
     found: list[Found | DrawnFound] = []
     way: Any = drawn_report if choice.trials is Kind.DRAWN else report
     console.print(way.announced(rig, name, choice, names), markup=False, highlight=False, soft_wrap=True)
@@ -159,8 +154,8 @@ def tune(
 
 
 def _choice(
-    size: tuple[int, int | None], seed: int, margins: tuple[float | None, float | None], start: Start | None,
-    only: Sequence[str], repeats: int, trials: Kind, unseen: int | None,
+    trials: Kind, size: tuple[int, int | None], margins: tuple[float | None, float | None],
+    *, seed: int, start: Start | None, only: Sequence[str], repeats: int, unseen: int | None,
 ) -> Choice:  # fmt: skip
     """With the defaults of what was not given (None). Raises RigError for options that say nothing on drawn stages."""
     population, generations = size
