@@ -13,6 +13,8 @@ Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
 Angle = Annotated[float, Field(ge=-1e3, le=1e3)]
 Distance = Annotated[float, Field(ge=0, le=1)]
 Ratio = Annotated[float, Field(ge=0, le=10)]
+MOST_LOAD = 0.95  # of an axis' mass, on springs
+MOST_MODES = 3
 Part = Annotated[float, Field(ge=0, le=0.95)]
 Lag = Annotated[float, Field(ge=0, le=0.1)]
 Speed = Annotated[float, Field(ge=-1, le=1)]
@@ -60,18 +62,27 @@ class CellConfig(Table):
 
 
 class ModeConfig(Table):
-    """[[plant.modes]]: the tool's mass on a spring; the encoder sees the motor (physics/dynamics.py)."""
+    """[[plant.modes]]: a mass on a spring beside the motor, which the encoder sees (physics/dynamics.py).
+
+    An axis' first carries the tool; others only ring.
+    """
 
     axis: str | None = key(None, "axis that rings; without: every axis that has no entry of its own")
     frequency_hz: float = key(
         REQUIRED,
-        "at which the tool rings while the motor is held; 1/sqrt(1 - load) times that while it is free",
+        "at which it rings while the motor is held; 1/sqrt(1 - load) times that while it is free, where it is alone",
         "Hz",
         ge=1,
         le=5000,
     )
-    damping: float = key(0.02, "damping ratio of the tool on the held motor", "1", ge=0, le=1)
-    load: float = key(0.3, "fraction of the moving mass that is the tool's", "1", ge=0.001, le=0.95)
+    damping: float = key(0.02, "its damping ratio on the held motor", "1", ge=0, le=1)
+    load: float = key(
+        0.3,
+        f"its fraction of the moving mass; those of an axis together: at most {MOST_LOAD}",
+        "1",
+        ge=0.001,
+        le=MOST_LOAD,
+    )
 
 
 class SwitchConfig(Table):
@@ -336,7 +347,7 @@ class PlantConfig(Table):
     torque_noise: NonNegative | list[NonNegative] = key(
         0.0, "white noise of the force, one-sided density", "N/sqrt(Hz) (N m/sqrt(Hz))"
     )
-    modes: list[ModeConfig] = key([], "flexible modes, at most one per axis")
+    modes: list[ModeConfig] = key([], f"flexible modes, at most {MOST_MODES} per axis")
     friction_variation: Part | list[Part] = key(
         0.0, "fraction by which dry friction varies along the travel, a sinusoid", "1"
     )
@@ -377,12 +388,18 @@ class PlantConfig(Table):
 
     @model_validator(mode="after")
     def _counted_per_axis(self) -> "PlantConfig":
-        for name, most in (("cells", 1), ("modes", 1), ("switches", 1), ("cogging", 3), ("vibration", 4)):
+        for name, most in (("cells", 1), ("modes", MOST_MODES), ("switches", 1), ("cogging", 3), ("vibration", 4)):
             axes = [entry.axis for entry in getattr(self, name)]
             often = sorted({axis or "(every)" for axis in axes if axes.count(axis) > most})
             if often:
                 raise ValueError(
                     f"{name}: more than {most} on axis {', '.join(often)}; allowed per axis: at most {most}"
+                )
+        for axis in dict.fromkeys(mode.axis for mode in self.modes):
+            load = sum(mode.load for mode in self.modes if mode.axis == axis)
+            if load > MOST_LOAD + 1e-9:
+                raise ValueError(
+                    f"modes: load of axis {axis or '(every)'} is {load:.6g} together; allowed: at most {MOST_LOAD}"
                 )
         return self
 

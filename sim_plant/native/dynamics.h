@@ -2,10 +2,11 @@
  * they say of the model and its units is not said again here. */
 #include "arithmetic.h"
 
-enum { LINES = 4, KEPT = 8 };
+enum { LINES = 4, HUNG = 2, KEPT = 8 };
 
 typedef struct {
     double position, velocity, pierced, load_position, load_velocity, bristle, cable, force, played, walked;
+    double hung[HUNG][2]; /* position and velocity of each mass hung beside the load */
 } motion;
 
 typedef struct {
@@ -19,12 +20,14 @@ typedef struct {
     double mass, coulomb, stribeck, stated_slowness, viscous, quadratic, presliding, bristle_damping, lag, load;
     double mode_stiffness, mode_damping, variation, variation_wavenumber, variation_phase;
     double cable_stiffness, cable_hysteresis, cable_reach, backlash;
+    double hung_mass[HUNG], hung_stiffness[HUNG], hung_damping[HUNG];
     double line_amplitude[LINES], line_wavenumber[LINES], line_phase[LINES];
     double floor_amplitude[LINES], floor_frequency[LINES], floor_phase[LINES];
     double surface, direction, membrane, puncture_depth, drag;
     /* of Dynamics */
     double inverse_mass, inverse_load, stiffness, peak, inverse_limit, inverse_lag, slowness;
     double ring_rate, ring_time, ring_scale, amplitudes, rate, speed_rate, stuck_rate, compliance, stuck_time;
+    double inverse_hung[HUNG], hung_rate[HUNG], hung_time[HUNG], hung_scale[HUNG];
     /* Disturbance, Encoder */
     double noise, walk, encoder_noise, encoder_error, encoder_wavenumber, encoder_latency;
     uint64_t noise_key, walk_key, encoder_key;
@@ -49,6 +52,7 @@ enum {
 #define HAS(a, bit) ((int)(a)->kind & (bit))
 #define LINES_OF(a) ((int)(a)->kind >> 8 & 7)
 #define FLOOR_OF(a) ((int)(a)->kind >> 11 & 7)
+#define HUNG_OF(a) ((int)(a)->kind >> 16 & 3)
 
 static triple sinusoids(const double *amplitudes, const double *wavenumbers, const double *phases, int count,
                         double middle, double span) {
@@ -178,8 +182,12 @@ static double load_on_motor(const axis *a, const motion *at, double time, double
     } else if (HAS(a, CELL)) {
         net = net - resistance(a, at->position, still, at->pierced);
     }
+    for (int i = 0; i < HUNG_OF(a); i++) {
+        const double *p = at->hung[i];
+        net = net + (a->hung_stiffness[i] * (p[0] - at->position) + a->hung_damping[i] * p[1]);
+    }
     if (FLOOR_OF(a)) {
-        net = net - (a->mass - a->load) * floors(a, time + still, still).inner;
+        net = net - (a->mass - a->load - a->hung_mass[0] - a->hung_mass[1]) * floors(a, time + still, still).inner;
     }
     *hold = a->coulomb + a->stribeck;
     if (HAS(a, VARIATION)) {
@@ -239,9 +247,10 @@ static void along(axis *a, const motion *at, double time, double external, doubl
     }
 }
 
-/* Of motor and load (m/s^2) in a state (q, q', y, y'). */
+/* Of motor and load (m/s^2) in a state (q, q', y, y') under these pulls of the other masses. */
 static inline double acceleration(const axis *a, double pierced, const double state[4], double z, double limit,
-                                  double sign, double pull, double scale, double floor, double *of_load) {
+                                  double sign, double pull, double scale, double floor, const double pulls[HUNG],
+                                  double *of_load) {
     double q = state[0], v = state[1], y = state[2], u = state[3];
     double net = pull - friction(a, v, z, limit, sign, scale), b = 0.0;
     if (HAS(a, CABLE)) {
@@ -256,6 +265,9 @@ static inline double acceleration(const axis *a, double pierced, const double st
         b = -coupling * a->inverse_load;
     } else if (HAS(a, CELL)) {
         net = net - resistance(a, q, v, pierced);
+    }
+    for (int i = 0; i < HUNG_OF(a); i++) {
+        net = net + pulls[i];
     }
     double motor = net * a->inverse_mass;
     if (FLOOR_OF(a)) {
@@ -272,10 +284,24 @@ static motion step(axis *a, const motion *at, double time, double external, doub
     double state[4] = {q0, v0, y0, u0};
     double before = HAS(a, BRISTLE) ? limit_at(a, v0) : 0.0, z = at->bristle, limit = before, turn = 0.0;
     double speeds = 0.0, accelerations = 0.0, load_speeds = 0.0, load_accelerations = 0.0;
+    double hung[HUNG][2], sums[HUNG][2] = {{0.0}}, pulls[HUNG], rates[HUNG][2];
+    int n_hung = HUNG_OF(a);
+    for (int i = 0; i < n_hung; i++) {
+        hung[i][0] = at->hung[i][0], hung[i][1] = at->hung[i][1];
+    }
     for (int stage = 0; stage < 4; stage++) {
         int where = stage == 0 ? 0 : stage == 3 ? 2 : 1;
         double b, weight = where == 1 ? 2.0 : 1.0;
-        double motor = acceleration(a, at->pierced, state, z, limit, sign, pull[where], scale[where], floor[where], &b);
+        for (int i = 0; i < n_hung; i++) {
+            pulls[i] = a->hung_stiffness[i] * (hung[i][0] - state[0]) + a->hung_damping[i] * (hung[i][1] - state[1]);
+        }
+        double motor =
+            acceleration(a, at->pierced, state, z, limit, sign, pull[where], scale[where], floor[where], pulls, &b);
+        for (int i = 0; i < n_hung; i++) {
+            double c = -pulls[i] * a->inverse_hung[i];
+            rates[i][0] = hung[i][1], rates[i][1] = FLOOR_OF(a) ? c - floor[where] : c;
+            sums[i][0] = sums[i][0] + weight * rates[i][0], sums[i][1] = sums[i][1] + weight * rates[i][1];
+        }
         turn = stage == 0 ? motor : stage == 3 ? turn - motor : turn;
         speeds = speeds + weight * state[1];
         accelerations = accelerations + weight * motor;
@@ -290,6 +316,9 @@ static motion step(axis *a, const motion *at, double time, double external, doub
         if (HAS(a, MODE)) {
             state[2] = y0 + ahead * state[3], state[3] = u0 + ahead * b;
         }
+        for (int i = 0; i < n_hung; i++) {
+            hung[i][0] = at->hung[i][0] + ahead * rates[i][0], hung[i][1] = at->hung[i][1] + ahead * rates[i][1];
+        }
         state[0] = q0 + ahead * state[1], state[1] = v0 + ahead * motor;
         if (HAS(a, BRISTLE)) {
             z = bend(a, at->bristle, before, v0, state[0] - q0, state[1], ahead, &limit);
@@ -300,6 +329,10 @@ static motion step(axis *a, const motion *at, double time, double external, doub
     end.position = q0 + sixth * speeds, end.velocity = v0 + sixth * accelerations;
     end.load_position = HAS(a, MODE) ? y0 + sixth * load_speeds : end.position;
     end.load_velocity = HAS(a, MODE) ? u0 + sixth * load_accelerations : end.velocity;
+    for (int i = 0; i < HUNG; i++) {
+        end.hung[i][0] = i < n_hung ? at->hung[i][0] + sixth * sums[i][0] : end.position;
+        end.hung[i][1] = i < n_hung ? at->hung[i][1] + sixth * sums[i][1] : end.velocity;
+    }
     double moved = end.position - q0;
     if (HAS(a, BRISTLE)) {
         end.bristle = bent(a, at->bristle, before, v0, moved, end.velocity, turn, h);

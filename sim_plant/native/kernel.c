@@ -25,6 +25,9 @@ static double effort(const axis *a, double external, double command, double h) {
     const motion *at = &a->at;
     double drive = external + command, speed = fabs(at->velocity), push = 0.0;
     double pull = a->mode_stiffness * fabs(at->load_position - at->position) + a->cable_stiffness * fabs(at->position);
+    for (int i = 0; i < HUNG_OF(a); i++) {
+        pull = pull + a->hung_stiffness[i] * fabs(at->hung[i][0] - at->position);
+    }
     if (HAS(a, BRISTLE)) {
         push = fabs(drive - a->stiffness * at->bristle);
         pull = pull + push + BREAKING_LOOSE * a->coulomb;
@@ -39,6 +42,11 @@ static double effort(const axis *a, double external, double command, double h) {
     if (HAS(a, MODE)) {
         double swing = fabs(at->load_position - at->position) + a->ring_time * fabs(at->load_velocity - at->velocity);
         work = greater(work, h * a->ring_rate * sqrt(sqrt(greater(swing * a->ring_scale, MODE_LEAST))));
+    }
+    for (int i = 0; i < HUNG_OF(a); i++) {
+        const double *p = at->hung[i];
+        double swing = fabs(p[0] - at->position) + a->hung_time[i] * fabs(p[1] - at->velocity);
+        work = greater(work, h * a->hung_rate[i] * sqrt(sqrt(greater(swing * a->hung_scale[i], MODE_LEAST))));
     }
     if (HAS(a, STRIBECK)) {
         double nearest = speed - reach;
@@ -196,6 +204,9 @@ static void pieces(axis *a, double begin, double h, int count, int64_t before) {
 static int is_finite(const motion *at) {
     double sum = at->position + at->velocity + at->load_position + at->load_velocity + at->bristle + at->cable;
     sum += at->force + at->played + at->walked;
+    for (int i = 0; i < HUNG; i++) {
+        sum += at->hung[i][0] + at->hung[i][1];
+    }
     return sum - sum == 0.0;
 }
 

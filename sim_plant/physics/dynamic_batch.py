@@ -33,13 +33,15 @@ def part_of(axes: Dynamics, index: NDArray[np.int64] | slice) -> Dynamics:
     part.membrane = Membrane(s.surface, s.direction, s.membrane, s.puncture_depth, s.drag)
     for name in _STEPPED:
         setattr(part, name, getattr(axes, name)[index])
-    for name in ("lines", "floor", "_varying"):
+    for name in ("lines", "floor", "_varying", "hung"):
         setattr(part, name, [(a[index], b[index], c[index]) for a, b, c in getattr(axes, name)])
     part._lag_h = -1.0
     return part
 
 
-_STEPPED = ("inverse_mass", "inverse_load", "stiffness", "peak", "inverse_limit", "inverse_lag", "_slowness")
+_STEPPED = (
+    "motor_mass", "inverse_mass", "inverse_load", "stiffness", "peak", "inverse_limit", "inverse_lag", "_slowness",
+)  # fmt: skip
 _COUNTS = np.array(COUNTS)
 
 

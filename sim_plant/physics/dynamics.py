@@ -6,6 +6,11 @@
 f: the drive's force behind a first-order lag. e: gravity, bias, noise. g: the floor's acceleration. Without a mode
 m2 = 0 and y = q.
 
+Up to two masses more hang on the motor, beside the tool's and like it, each on a spring of its own; nothing else
+touches them. Seen from where it is driven, a structure is such masses in parallel, one a mode (Wada, Bamford, Garba,
+"Equivalent spring-mass system: a physical interpretation", Shock and Vibration Bulletin 42(5), 1972). Only the first
+carries the tool.
+
 Friction with presliding is the LuGre model (Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995):
 
     friction = s0 z + s1 z' + viscous q' + quadratic q' |q'|,   z' = q' - |q'| z / limit(q'),
@@ -28,8 +33,8 @@ from sim_plant.physics.number import (
     select,
     sincos,
 )
-from sim_plant.physics.structure import Motion
-from sim_plant.physics.terms import Terms, Triple
+from sim_plant.physics.structure import HUNG, Motion
+from sim_plant.physics.terms import Pair, Terms, Triple
 
 
 def _sinusoids(lines: list[Triple], middle: Number, span: Number) -> Triple:
@@ -141,8 +146,10 @@ class Dynamics(Terms):
             net = net + s.mode_stiffness * (at.load_position - at.position) + s.mode_damping * at.load_velocity
         elif self.has_cell:
             net = net - self.membrane.resistance(at.position, still, at.pierced)
+        for (stiffness, damping, _), (p, w) in zip(self.hung, self.hung_at(at), strict=True):
+            net = net + (stiffness * (p - at.position) + damping * w)
         if self.floor:
-            net = net - (s.mass - s.load) * _sinusoids(self.floor, time + still, still)[1]
+            net = net - self.motor_mass * _sinusoids(self.floor, time + still, still)[1]
         hold = s.coulomb + s.stribeck
         if self.has_variation:
             hold = hold * (1.0 + _sinusoids(self._varying, at.position, still)[1])
@@ -198,10 +205,15 @@ class Dynamics(Terms):
         bristle: tuple[Number, Number] = (at.bristle, before)
         turn: Number = 0.0
         speeds = accelerations = load_speeds = load_accelerations = 0.0
+        hung0 = hung = self.hung_at(at)
+        sums: list[Pair] = [(0.0, 0.0)] * len(hung)
         for stage in range(4):
             along = begin if stage == 0 else end if stage == 3 else middle
-            a, b = self._accelerations(at.pierced, (q, v, y, u), bristle, sign, along)
+            pulls = self._pulls(q, v, hung)
+            a, b = self._accelerations(at.pierced, (q, v, y, u), bristle, sign, along, pulls)
             weight = 2.0 if stage == 1 or stage == 2 else 1.0
+            rates = self._hung_rates(hung, pulls, along[2])
+            sums = [(p + weight * w, r + weight * c) for (p, r), (w, c) in zip(sums, rates, strict=True)]
             turn = a if stage == 0 else turn - a if stage == 3 else turn
             speeds = speeds + weight * v
             accelerations = accelerations + weight * a
@@ -213,14 +225,29 @@ class Dynamics(Terms):
             ahead = h if stage == 2 else 0.5 * h
             if self.has_mode:
                 y, u = y0 + ahead * u, u0 + ahead * b
+            hung = [(p + ahead * w, r + ahead * c) for (p, r), (w, c) in zip(hung0, rates, strict=True)]
             q, v = q0 + ahead * v, v0 + ahead * a
             if self.has_bristle:
                 bristle = self.bend(start, (q - q0, v), ahead)
         sixth = h * (1.0 / 6.0)
         q, v = q0 + sixth * speeds, v0 + sixth * accelerations
         y, u = (y0 + sixth * load_speeds, u0 + sixth * load_accelerations) if self.has_mode else (q, v)
+        hung = [(p + sixth * w, r + sixth * c) for (p, r), (w, c) in zip(hung0, sums, strict=True)]
         z = self._bent(start, (q - q0, v), turn, h) if self.has_bristle else at.bristle
-        return self._arrived(at, (q, v, y, u, z), forces[1], h)
+        return self._arrived(at, (q, v, y, u, z), hung, forces[1], h)
+
+    def _pulls(self, q: Number, v: Number, hung: list[Pair]) -> list[Number]:
+        """Of the springs of the masses hung beside the load, on the motor (N)."""
+        springs = zip(self.hung, hung, strict=True)
+        return [stiffness * (p - q) + damping * (w - v) for (stiffness, damping, _), (p, w) in springs]
+
+    def _hung_rates(self, hung: list[Pair], pulls: list[Number], floor: Number) -> list[Pair]:
+        """Velocity and acceleration of each of those masses under these pulls."""
+        rates: list[Pair] = []
+        for (_, _, inverse), (_, w), pull in zip(self.hung, hung, pulls, strict=True):
+            c = -pull * inverse
+            rates.append((w, c - floor if self.floor else c))
+        return rates
 
     def _accelerations(
         self,
@@ -229,8 +256,11 @@ class Dynamics(Terms):
         bristle: tuple[Number, Number],
         sign: Number,
         along: Triple,
+        pulls: list[Number],
     ) -> tuple[Number, Number]:
-        """Of motor and load (m/s^2) in a state (q, q', y, y'); load: 0 without a mode. along: one of `_along`'s."""
+        """Of motor and load (m/s^2) in a state (q, q', y, y'); load: 0 without a mode. along: one of `_along`'s. pulls:
+        `_pulls`.
+        """
         s = self.structure
         q, v, y, u = state
         pull, scale, floor = along
@@ -246,6 +276,8 @@ class Dynamics(Terms):
             b = -coupling * self.inverse_load
         elif self.has_cell:
             net = net - self.membrane.resistance(q, v, pierced)
+        for other in pulls:
+            net = net + other
         a = net * self.inverse_mass
         if self.floor:
             a, b = a - floor, b - floor
@@ -254,15 +286,21 @@ class Dynamics(Terms):
         return a, b
 
     def _arrived(
-        self, at: Motion, state: tuple[Number, Number, Number, Number, Number], command: Number, h: Number
+        self,
+        at: Motion,
+        state: tuple[Number, Number, Number, Number, Number],
+        hung: list[Pair],
+        command: Number,
+        h: Number,
     ) -> Motion:
-        """The whole state after a step that ends at (q, q', y, y', z)."""
+        """The whole state after a step that ends at (q, q', y, y', z), and with the other masses there."""
         q, v, y, u, bristle = state
         moved = q - at.position
         cable = self._strained(at, moved) if self.has_cable else at.cable
         force = command + (at.force - command) * self._prepare_lag(h)[2] if self.has_lag else command
         played = self._play(at, y, u, h) if self.has_backlash else y
-        return Motion(q, v, at.pierced, y, u, bristle, cable, force, played, at.walked)
+        (p2, w2), (p3, w3) = [*hung, (q, v), (q, v)][:HUNG]
+        return Motion(q, v, at.pierced, y, u, bristle, cable, force, played, at.walked, p2, w2, p3, w3)
 
     def _play(self, at: Motion, y: Number, u: Number, h: Number) -> Number:
         """The load's position behind the backlash: it follows the load at half of it, by way of its turning point."""

@@ -14,7 +14,7 @@ from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.encoder import KEPT, Point
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.ideal_batch import advance_ideal
-from sim_plant.physics.structure import LINES, Motion, Structure, rigid, with_walk
+from sim_plant.physics.structure import HUNG, LINES, Motion, Structure, rigid, with_walk
 from sim_plant.physics.truth import Truth
 
 Array = NDArray[np.float64]
@@ -24,7 +24,8 @@ CLAMP_RING = 2.0 * TURN * 150.0  # rad/s: a brake or a jam grips through a struc
 BRISTLE, MODE, LAG, STRIBECK, VARIATION, CABLE, BACKLASH, CELL = (1 << bit for bit in range(8))
 LINE_COUNT, FLOOR_COUNT = 1 << 8, 1 << 11  # times the number of sinusoids
 NOISY, LATE = 1 << 14, 1 << 15
-DYNAMIC = BRISTLE | MODE | LAG | VARIATION | CABLE | BACKLASH | 7 * FLOOR_COUNT
+HUNG_COUNT = 1 << 16  # times the number of masses hung beside the tool's
+DYNAMIC = BRISTLE | MODE | LAG | VARIATION | CABLE | BACKLASH | 7 * FLOOR_COUNT | 3 * HUNG_COUNT
 
 
 def _flat(truth: Truth) -> dict[str, Any]:
@@ -66,6 +67,8 @@ def structure_of(truth: Truth, clamp: Array) -> Structure:
     stiffness = np.where(held > 0.0, grip, stiffness)
     load = flat["mode_load"] * mass * (flat["mode_frequency"] > 0.0)
     ring = TURN * flat["mode_frequency"]
+    others = flat["other_modes"]
+    hung_mass, hung_ring = others["load"].T * mass * (others["frequency"].T > 0.0), TURN * others["frequency"].T
     cogging, floor = flat["cogging"], flat["vibration"]
 
     def lines(key: str, ripple: Array) -> Array:
@@ -91,6 +94,9 @@ def structure_of(truth: Truth, clamp: Array) -> Structure:
         cable_hysteresis=flat["cable_hysteresis"],
         cable_reach=flat["cable_reach"],
         backlash=flat["backlash"],
+        hung_mass=hung_mass,
+        hung_stiffness=hung_mass * hung_ring * hung_ring,
+        hung_damping=2.0 * others["damping"].T * hung_ring * hung_mass,
         line_amplitude=lines("amplitude", flat["ripple_amplitude"]),
         line_wavenumber=lines("wavenumber", 1.0 / flat["ripple_period"]),
         line_phase=lines("phase", 0.0 * mass),
@@ -126,6 +132,7 @@ def kinds_of(truth: Truth, s: Structure) -> NDArray[np.int64]:
     used = np.arange(1, LINES + 1)[:, None]
     kinds += LINE_COUNT * np.max(used * (s.line_amplitude != 0.0), axis=0)
     kinds += FLOOR_COUNT * np.max(used * (s.floor_amplitude != 0.0), axis=0)
+    kinds += HUNG_COUNT * np.max(used[:HUNG] * (s.hung_mass != 0.0), axis=0)
     return kinds
 
 

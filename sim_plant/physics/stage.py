@@ -35,7 +35,7 @@ from sim_plant.physics.real_axes import (
 from sim_plant.physics.real_axis import RealAxis, disturbance_of, piece_times
 from sim_plant.physics.single_axis import SingleAxis, axis_of
 from sim_plant.physics.single_stage import IDEAL_PIECE_NS, SingleStage, encoder_of, real_pieces
-from sim_plant.physics.structure import Motion, Structure
+from sim_plant.physics.structure import Motion, Structure, rigid
 from sim_plant.physics.truth import Truth, per_axis_array
 
 __all__ = ["Stage", "Truth", "per_axis_array"]
@@ -93,7 +93,8 @@ class Stage:
         self._stiffness = np.zeros(truth.mass.size)
         q, v = _filled(position, truth.shape), _filled(velocity, truth.shape)
         pierced, bristle, cable, force, walked = (np.zeros(truth.shape) for _ in range(5))
-        self._motion = Motion(q, v, pierced, q.copy(), v.copy(), bristle, cable, force, q.copy(), walked)
+        still = Motion(q, v, pierced, q, v, bristle, cable, force, q, walked, q, v, q, v)
+        self._motion = Motion(*(array.copy() for array in still))
         self._configure(self._motion)
 
     # what it is made of ----------------------------------------------------------------------------------------------
@@ -274,8 +275,9 @@ class Stage:
             for array, values in zip(flat, state, strict=False):
                 array[index] = values
             if self._deviates:
-                flat[3][index] = flat[8][index] = state.position
-                flat[4][index] = state.velocity
+                at_motor = rigid(Motion(*(array[index] for array in flat)), *state)
+                for array, values in zip(flat, at_motor, strict=True):
+                    array[index] = values
 
     def _advance_parts(self, duration_ns: int, command: Array) -> None:
         """Those axes of a batch that deviate."""
@@ -365,4 +367,4 @@ def _axis_numbers(shape: tuple[int, ...]) -> NDArray[np.uint64]:
 def _rigid_motion(axis: SingleAxis, force: float) -> Motion:
     """The motion of an ideal axis under this command (N)."""
     q, v = axis.position, axis.velocity
-    return Motion(q, v, axis.pierced, q, v, 0.0, 0.0, force, q, 0.0)
+    return Motion(q, v, axis.pierced, q, v, 0.0, 0.0, force, q, 0.0, q, v, q, v)

@@ -10,7 +10,7 @@ from typing import Final
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.membrane import Membrane
 from sim_plant.physics.number import Number, direction, greater, root, select
-from sim_plant.physics.structure import Motion, Structure
+from sim_plant.physics.structure import HUNG, Motion, Structure
 
 # A step of x rad is off by x^4 / 120 of a ring's amplitude, for each radian: so much in metres says how long it may be.
 MODE_STEP: Final = 0.28  # rad of the mode's ring, where that leaves MODE_ERROR of its ring-down
@@ -28,6 +28,7 @@ LINE_STEP: Final = 0.4  # rad of a sinusoid
 SLOPE_STEP: Final = 0.1  # of the other rates
 PEAK_STEP: Final = 0.08  # of v_s on the way through a Stribeck peak
 
+Pair = tuple[Number, Number]  # position and velocity of a mass
 Triple = tuple[Number, Number, Number]  # at the beginning, in the middle and at the end of a step
 
 
@@ -48,7 +49,8 @@ class Terms:
         self.structure = structure
         self.kind = kind
         self.membrane = Membrane(s.surface, s.direction, s.membrane, s.puncture_depth, s.drag)
-        motor = s.mass - s.load
+        self.motor_mass: Number = s.mass - s.load - s.hung_mass[0] - s.hung_mass[1]
+        motor = self.motor_mass
         self.inverse_mass: Number = 1.0 / motor
         self.inverse_load: Number = 1.0 / s.load if self.has_mode else 0.0 * motor
         self.stiffness: Number = s.coulomb / s.presliding if self.has_bristle else 0.0 * motor
@@ -59,6 +61,10 @@ class Terms:
         self.lines: list[Triple] = [(s.line_amplitude[i], s.line_wavenumber[i], s.line_phase[i]) for i in range(count)]
         self.floor: list[Triple] = [
             (s.floor_amplitude[i], s.floor_frequency[i], s.floor_phase[i]) for i in range(kind >> 11 & 7)
+        ]
+        # Stiffness and damping of the spring of each mass hung beside the load, and the inverse of that mass
+        self.hung: list[Triple] = [
+            (s.hung_stiffness[i], s.hung_damping[i], 1.0 / s.hung_mass[i]) for i in range(kind >> 16 & 3)
         ]
         self._slowness: Number = s.slowness * (s.stribeck > 0.0)
         self._varying: list[Triple] = [(s.variation, s.variation_wavenumber, s.variation_phase)]
@@ -75,11 +81,10 @@ class Terms:
         self._ring_time: Number = 0.0 * motor
         self._ring_scale: Number = 0.0 * motor
         if self.has_mode:
-            softness = self.inverse_mass + self.inverse_load
-            ring = root(s.mode_stiffness * softness)
-            damping = greater(0.5 * s.mode_damping * softness / ring, LEAST_DAMPING)
-            self._ring_rate, self._ring_time = ring * (1.0 / MODE_STEP), 1.0 / ring
-            self._ring_scale = MODE_STEP**4 / (120.0 * MODE_ERROR) / damping
+            self._ring_rate, self._ring_time, self._ring_scale = self._ring(
+                s.mode_stiffness, s.mode_damping, self.inverse_load
+            )
+        self._hung_rings: list[Triple] = [self._ring(*spring) for spring in self.hung]
         per_speed, amplitudes = 0.0 * motor, abs(s.cable_hysteresis)
         for amplitude, wavenumber, _ in self.lines:
             per_speed = per_speed + (TURN / LINE_STEP) * wavenumber * (amplitude != 0.0)
@@ -98,6 +103,13 @@ class Terms:
         if self.has_bristle:
             self._compliance, self._stuck_time = 1.0 / self.stiffness, root(motor / self.stiffness)
 
+    def _ring(self, stiffness: Number, spring_damping: Number, inverse: Number) -> Triple:
+        """Of a mass on a spring of the motor: rate, time and scale of its ring, as `effort` takes them."""
+        softness = self.inverse_mass + inverse
+        ring = root(stiffness * softness)
+        damping = greater(0.5 * spring_damping * softness / ring, LEAST_DAMPING)
+        return ring * (1.0 / MODE_STEP), 1.0 / ring, MODE_STEP**4 / (120.0 * MODE_ERROR) / damping
+
     def parameters(self) -> list[Number]:
         """Of one axis: all of its numbers, in the order of `axis` in sim_plant/native/dynamics.h."""
         values = [v for value in self.structure for v in (value if isinstance(value, tuple) else (value,))]
@@ -105,7 +117,16 @@ class Terms:
         of_ring = [self._ring_rate, self._ring_time, self._ring_scale]
         of_effort = [self._amplitudes, self._rate, self._speed_rate, self._stuck_rate]
         of_effort += [self._compliance, self._stuck_time]
-        return [*values, *of_motor, self.inverse_lag, self._slowness, *of_ring, *of_effort]
+        none = [0.0] * (HUNG - len(self.hung))
+        of_hung = [value for spring in self.hung for value in spring[2:]] + none
+        for place in range(3):
+            of_hung += [ring[place] for ring in self._hung_rings] + none
+        return [*values, *of_motor, self.inverse_lag, self._slowness, *of_ring, *of_effort, *of_hung]
+
+    def hung_at(self, at: Motion) -> list[Pair]:
+        """Position and velocity of each mass hung beside the load."""
+        both = [(at.second_position, at.second_velocity), (at.third_position, at.third_velocity)]
+        return both[: len(self.hung)]
 
     def effort(self, at: Motion, forces: tuple[Number, Number], h: float) -> Number:
         """Steps that h seconds should be divided into, not rounded. forces: as in `step`."""
@@ -115,6 +136,8 @@ class Terms:
         speed = abs(at.velocity)
         push: Number = 0.0
         pull = s.mode_stiffness * abs(at.load_position - at.position) + s.cable_stiffness * abs(at.position)
+        for (stiffness, _, _), (p, _) in zip(self.hung, self.hung_at(at), strict=True):
+            pull = pull + stiffness * abs(p - at.position)
         if self.has_bristle:  # friction changes with the motion alone, though fast where it breaks loose
             push = abs(drive - self.stiffness * at.bristle)
             pull = pull + push + BREAKING_LOOSE * s.coulomb
@@ -128,6 +151,9 @@ class Terms:
         if self.has_mode:
             swing = abs(at.load_position - at.position) + self._ring_time * abs(at.load_velocity - at.velocity)
             work = greater(work, h * self._ring_rate * root(root(greater(swing * self._ring_scale, MODE_LEAST))))
+        for (rate, span, scale), (p, w) in zip(self._hung_rings, self.hung_at(at), strict=True):
+            swing = abs(p - at.position) + span * abs(w - at.velocity)
+            work = greater(work, h * rate * root(root(greater(swing * scale, MODE_LEAST))))
         if self.has_stribeck:
             nearest = speed - reach
             nearest = 0.5 * (nearest + abs(nearest))

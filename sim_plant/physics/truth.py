@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_plant.config import PlantConfig
+from sim_plant.config import MOST_LOAD, ModeConfig, PlantConfig
 from sim_plant.physics.exact_trigonometry import TURN
-from sim_plant.physics.structure import LINES
+from sim_plant.physics.structure import HUNG, LINES
 from sim_plant.stages import staged
 
 Array = NDArray[np.float64]
 
 SINUSOIDS = np.dtype([("amplitude", "f8", (LINES,)), ("wavenumber", "f8", (LINES,)), ("phase", "f8", (LINES,))])
+OTHER_MODES = np.dtype([("frequency", "f8", (HUNG,)), ("damping", "f8", (HUNG,)), ("load", "f8", (HUNG,))])
 
 # What may be changed of an axis' first line: its array, its field, what the field holds of the value, and back.
 FIRST_LINE: dict[str, tuple[str, str, Callable[[Array], Array], Callable[[Array], Array]]] = {
@@ -34,8 +35,9 @@ class Truth:
     extra friction at rest. stribeck_velocity: m/s. ripple_period, cell_surface, puncture_depth: m. cell_direction: +-1.
     cell_stiffness: N/m^3 (0: no cell). cell_drag: N s/m.
 
-    The others as in PlantConfig; mode_frequency in Hz (0: no mode). cogging and vibration: structured arrays of
-    SINUSOIDS: amplitude in N and m/s^2, wavenumber in turns per m and per s, phase in turns.
+    The others as in PlantConfig; mode_frequency in Hz (0: no mode): of the tool. other_modes: structured array of
+    OTHER_MODES, those beside the tool's: Hz, damping ratio, part of the mass. cogging and vibration: structured arrays
+    of SINUSOIDS: amplitude in N and m/s^2, wavenumber in turns per m and per s, phase in turns.
     """
 
     mass: Array
@@ -60,6 +62,7 @@ class Truth:
     mode_frequency: Array
     mode_damping: Array
     mode_load: Array
+    other_modes: NDArray[np.void]
     friction_variation: Array
     friction_period: Array
     friction_phase: Array
@@ -98,14 +101,13 @@ class Truth:
             "mode_damping": 0.0,
             "mode_load": 0.0,
         }
-        lines = ("cogging", "vibration")
-        straight = [field.name for field in fields(cls) if field.name not in (*per_axis, *lines)]
+        lists = {"cogging": SINUSOIDS, "vibration": SINUSOIDS, "other_modes": OTHER_MODES}
+        straight = [field.name for field in fields(cls) if field.name not in (*per_axis, *lists)]
         per_axis |= {key: getattr(plant, key) for key in straight}
         arrays: dict[str, NDArray[Any]] = {
             key: per_axis_array(f"plant.{key}", value, n_axes) for key, value in per_axis.items()
         }
-        for key in lines:
-            arrays[key] = np.zeros(n_axes, SINUSOIDS)
+        arrays |= {key: np.zeros(n_axes, kind) for key, kind in lists.items()}
         _Entries(arrays, n_axes, axis_names).take(plant)
         return cls(**arrays)
 
@@ -128,6 +130,8 @@ class Truth:
                 arrays["mode_load"][..., axis][new], arrays["mode_damping"][..., axis][new] = 0.3, 0.02
             target = arrays[key][..., axis]
             before: Array = target.copy()
+            if key == "mode_load":  # what the other modes leave of it
+                value = np.minimum(value, MOST_LOAD - self.other_modes["load"][..., axis, :].sum(axis=-1))
             target[...] = value
             return Truth(**arrays), before
         name, field, stored, stated = FIRST_LINE[key]
@@ -159,17 +163,27 @@ class _Entries:
                 for key in ("surface", "direction", "stiffness", "drag"):
                     self._arrays[f"cell_{key}"][axis] = getattr(cell, key)
                 self._arrays["puncture_depth"][axis] = cell.puncture_depth
-        for mode in sorted(plant.modes, key=lambda mode: mode.axis is not None):
-            for axis in self._axes("modes", mode.axis):
-                self._arrays["mode_frequency"][axis] = mode.frequency_hz
-                self._arrays["mode_damping"][axis] = mode.damping
-                self._arrays["mode_load"][axis] = mode.load
+        stated = [self._axes("modes", mode.axis) for mode in plant.modes]
+        for axis in range(self._n_axes):
+            own = [mode for mode, axes in zip(plant.modes, stated, strict=True) if mode.axis and axis in axes]
+            self._hang(axis, own or [mode for mode in plant.modes if mode.axis is None])
         for cogging in plant.cogging:
             for axis in self._axes("cogging", cogging.axis):
                 self._add("cogging", axis, cogging.amplitude, 1.0 / cogging.period, cogging.phase)
         for line in plant.vibration:
             for axis in self._axes("vibration", line.axis):
                 self._add("vibration", axis, line.acceleration, line.frequency_hz, line.phase)
+
+    def _hang(self, axis: int, modes: Sequence[ModeConfig]) -> None:
+        """The first carries the tool."""
+        for mode in modes[:1]:
+            self._arrays["mode_frequency"][axis] = mode.frequency_hz
+            self._arrays["mode_damping"][axis] = mode.damping
+            self._arrays["mode_load"][axis] = mode.load
+        others = self._arrays["other_modes"]
+        for place, mode in enumerate(modes[1:]):
+            for name, value in (("frequency", mode.frequency_hz), ("damping", mode.damping), ("load", mode.load)):
+                others[name][axis, place] = value
 
     def _axes(self, key: str, axis: str | None) -> Sequence[int]:
         if axis is None:

@@ -10,16 +10,18 @@ from sim_plant.physics.stage import Stage, Truth
 from tests.golden.golden import hold
 from tests.golden.plants.tell import EFFECTS, MS, THERE_AND_BACK, lines, plant_with, shown_by, with_and_without
 
+OTHERS = [{"axis": "x", "frequency_hz": 330.0, "load": 0.05}, {"axis": "x", "frequency_hz": 900.0, "load": 0.02}]
 plants = st.builds(
-    lambda chosen, mass, coulomb, seed: PlantConfig(
+    lambda chosen, others, mass, coulomb, seed: PlantConfig(
         mass=[mass, 0.3],
         coulomb=[coulomb, 0.4],
         viscous=[1.0, 2.0],
         quadratic=[0.1, 0.0],
         seed=seed,
-        **{name: EFFECTS[name] for name in chosen},
+        **{name: EFFECTS[name] + OTHERS[:others] * (name == "modes") for name in chosen},
     ),
     st.sets(st.sampled_from(sorted(EFFECTS))),
+    st.integers(0, 2),
     st.floats(0.1, 1.5),
     st.floats(0.1, 1.0),
     st.integers(0, 2**32 - 1),

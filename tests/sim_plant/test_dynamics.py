@@ -227,16 +227,19 @@ def test_what_pulls_on_a_motor_that_friction_holds_is_the_sum_of_all_that_hangs_
     along = {"cogging": [{"amplitude": 0.2, "period": 0.01, "phase": 0.3}], "friction_variation": 0.1}
     along |= {"friction_period": 0.02, "stribeck_scale": 0.4, "stribeck_velocity": 0.01, "torque_lag": 1e-3}
     floor = {"vibration": [{"acceleration": 0.5, "frequency_hz": 30.0}]}
-    stage = stage_of(**X, **mode(200.0, 0.1), **cable, **along, **floor)
+    hung = {"axis": "x", "frequency_hz": 450.0, "damping": 0.05, "load": 0.04}
+    stage = stage_of(**X, modes=[*mode(200.0, 0.1)["modes"], hung], **cable, **along, **floor)
     structure = structure_of(stage.truth, np.zeros(1))
     axis = dynamics_of(take(structure, 0), int(kinds_of(stage.truth, structure)[0]))
     q, tool, speed, bent, lagged, t = 1.3e-3, 1.5e-3, -0.02, 0.4, 0.7, 0.011
-    at = Motion(q, 0.0, 0.0, tool, speed, 0.0, bent, lagged, tool, 0.0)
+    at = Motion(q, 0.0, 0.0, tool, speed, 0.0, bent, lagged, tool, 0.0, q - 2e-6, 0.01, q, 0.0)
     net, hold = axis.load_on_motor(at, t, (0.11, 9.0))
     ring = 2.0 * math.pi * 200.0
     coupling = 0.3 * 0.93 * (ring * ring * (tool - q) + 0.2 * ring * speed)
+    ring = 2.0 * math.pi * 450.0
+    coupling += 0.04 * 0.93 * (ring * ring * -2e-6 + 0.1 * ring * 0.01)
     pulls = coupling - 0.05 * bent - 20.0 * q + 0.2 * math.sin(2.0 * math.pi * q / 0.01 + 0.3)
-    shaken = 0.7 * 0.93 * 0.5 * math.sin(2.0 * math.pi * 30.0 * t)
+    shaken = 0.66 * 0.93 * 0.5 * math.sin(2.0 * math.pi * 30.0 * t)
     assert net == pytest.approx(0.11 + lagged + pulls - shaken, rel=1e-9)
     assert hold == pytest.approx(0.66 * 1.4 * (1.0 + 0.1 * math.sin(2.0 * math.pi * q / 0.02)), rel=1e-9)
 

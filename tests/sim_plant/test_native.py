@@ -55,9 +55,18 @@ KEYS: dict[str, st.SearchStrategy] = {
     "encoder_latency": drawn(0.0, 1e-3),
     "gravity": drawn(-2.0, 2.0),
     "drift": drawn(-1e-5, 1e-5),
-    "modes": st.fixed_dictionaries(
-        {"frequency_hz": st.floats(5.0, 900.0), "damping": st.floats(0.0, 0.5), "load": st.floats(0.01, 0.9)}
-    ).map(lambda mode: [mode]),
+    "modes": st.lists(
+        st.fixed_dictionaries(
+            {
+                "axis": st.sampled_from([None, "x"]),
+                "frequency_hz": st.floats(5.0, 900.0),
+                "damping": st.floats(0.0, 0.5),
+                "load": st.floats(0.01, 0.3),
+            }
+        ),
+        min_size=1,
+        max_size=3,
+    ),
     "cogging": st.lists(
         st.fixed_dictionaries({"amplitude": st.floats(0.0, 0.5), "period": st.floats(1e-5, 0.1)}), max_size=3
     ),

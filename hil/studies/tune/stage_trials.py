@@ -67,8 +67,11 @@ class StageTrials:
         model = self._model
         if model.mode_frequency_hz:
             return {"frequency_hz": model.mode_frequency_hz, "damping": model.mode_damping, "load": model.mode_load}
-        modes = [mode for mode in self._rig.plant.modes if mode.axis in (None, self._name)]
-        return modes[-1].model_dump(exclude={"axis"}) if modes else {}
+        for axis in (self._name, None):
+            for mode in self._rig.plant.modes:
+                if mode.axis == axis:
+                    return mode.model_dump(exclude={"axis"})
+        return {}
 
     def good(self, part: float) -> float:
         """Encoder counts: what `part` of Coulomb friction costs where no model knows it."""
