@@ -14,7 +14,8 @@ Angle = Annotated[float, Field(ge=-1e3, le=1e3)]
 Distance = Annotated[float, Field(ge=0, le=1)]
 Ratio = Annotated[float, Field(ge=0, le=10)]
 MOST_LOAD = 0.95  # of an axis' mass, on springs
-MOST_MODES = 3
+MOST_MODES, MOST_SLIPS = 3, 4  # of an axis
+Share = Annotated[float, Field(ge=1e-3, le=1e3)]
 Part = Annotated[float, Field(ge=0, le=0.95)]
 Lag = Annotated[float, Field(ge=0, le=0.1)]
 Speed = Annotated[float, Field(ge=-1, le=1)]
@@ -83,6 +84,17 @@ class ModeConfig(Table):
         ge=0.001,
         le=MOST_LOAD,
     )
+
+
+class SlipConfig(Table):
+    """[[plant.slip]]: Maxwell-slip friction, a spring that slips at its limit, in place of the LuGre bristle.
+
+    An axis' elements together have its Coulomb friction, and at rest the stiffness coulomb / presliding.
+    """
+
+    axis: str | None = key(None, "axis that has it; without: every axis that has no entry of its own")
+    stiffness: Share = key(1.0, "its stiffness, in proportion to the axis' other elements", "1")
+    limit: Share = key(1.0, "force at which it slips, in proportion to the axis' other elements", "1")
 
 
 class SwitchConfig(Table):
@@ -343,6 +355,11 @@ class PlantConfig(Table):
         0.0, "Coulomb friction over its stiffness at rest (LuGre); 0: friction flips at v = 0", "m (rad)"
     )
     presliding_damping: Ratio | list[Ratio] = key(0.2, "damping ratio of the axis stuck on that stiffness", "1")
+    slip: list[SlipConfig] = key(
+        [],
+        f"[[plant.slip]]: Maxwell-slip elements, at most {MOST_SLIPS} per axis; an axis without: LuGre",
+        exclude_if=lambda value: not value,
+    )
     torque_lag: Lag | list[Lag] = key(0.0, "time constant of the force behind its command", "s")
     torque_noise: NonNegative | list[NonNegative] = key(
         0.0, "white noise of the force, one-sided density", "N/sqrt(Hz) (N m/sqrt(Hz))"
@@ -388,7 +405,8 @@ class PlantConfig(Table):
 
     @model_validator(mode="after")
     def _counted_per_axis(self) -> "PlantConfig":
-        for name, most in (("cells", 1), ("modes", MOST_MODES), ("switches", 1), ("cogging", 3), ("vibration", 4)):
+        allowed = {"cells": 1, "modes": MOST_MODES, "slip": MOST_SLIPS, "switches": 1, "cogging": 3, "vibration": 4}
+        for name, most in allowed.items():
             axes = [entry.axis for entry in getattr(self, name)]
             often = sorted({axis or "(every)" for axis in axes if axes.count(axis) > most})
             if often:

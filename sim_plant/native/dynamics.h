@@ -2,11 +2,12 @@
  * they say of the model and its units is not said again here. */
 #include "arithmetic.h"
 
-enum { LINES = 4, HUNG = 2, KEPT = 8 };
+enum { LINES = 4, HUNG = 2, SLIPS = 4, KEPT = 8 };
 
 typedef struct {
     double position, velocity, pierced, load_position, load_velocity, bristle, cable, force, played, walked;
     double hung[HUNG][2]; /* position and velocity of each mass hung beside the load */
+    double slip[SLIPS];
 } motion;
 
 typedef struct {
@@ -21,6 +22,7 @@ typedef struct {
     double mode_stiffness, mode_damping, variation, variation_wavenumber, variation_phase;
     double cable_stiffness, cable_hysteresis, cable_reach, backlash;
     double hung_mass[HUNG], hung_stiffness[HUNG], hung_damping[HUNG];
+    double slip_weight[SLIPS], slip_reach[SLIPS];
     double line_amplitude[LINES], line_wavenumber[LINES], line_phase[LINES];
     double floor_amplitude[LINES], floor_frequency[LINES], floor_phase[LINES];
     double surface, direction, membrane, puncture_depth, drag;
@@ -53,6 +55,7 @@ enum {
 #define LINES_OF(a) ((int)(a)->kind >> 8 & 7)
 #define FLOOR_OF(a) ((int)(a)->kind >> 11 & 7)
 #define HUNG_OF(a) ((int)(a)->kind >> 16 & 3)
+#define SLIPS_OF(a) ((int)(a)->kind >> 18 & 7)
 
 static triple sinusoids(const double *amplitudes, const double *wavenumbers, const double *phases, int count,
                         double middle, double span) {
@@ -138,6 +141,31 @@ static double bend(const axis *a, double z, double before, double v0, double mov
     return towards * (*limit - (*limit - before) * mean) + (z - towards * before) * left;
 }
 
+static inline double within(double value, double low, double high) {
+    return value < low ? low : value > high ? high : value;
+}
+
+/* The elements `span` seconds after they were bent by `begun`; returns their mean deflection. */
+static double slip(const axis *a, const double begun[SLIPS], double v0, double moved, double velocity, double span,
+                   double bent[SLIPS]) {
+    double there = moved, most = limit_at(a, 0.0), limit = limit_at(a, velocity), mean = 0.0;
+    int turned = velocity * v0 < 0.0;
+    if (turned) {
+        there = v0 * v0 * span / (2.0 * (v0 - velocity));
+    }
+    for (int i = 0; i < SLIPS_OF(a); i++) {
+        double z = begun[i], reach = a->slip_reach[i];
+        if (turned) {
+            z = within(z + there, -(most * reach), most * reach) + (moved - there);
+        } else {
+            z = z + moved;
+        }
+        bent[i] = within(z, -(limit * reach), limit * reach);
+        mean = mean + a->slip_weight[i] * bent[i];
+    }
+    return mean;
+}
+
 /* The bristle at the end of a step. turn: how much the acceleration fell in it. */
 static double bent(const axis *a, double bristle, double before, double v0, double moved, double velocity, double turn,
                    double h) {
@@ -202,8 +230,7 @@ static inline double strained(const axis *a, const motion *at, double moved) {
 }
 
 static inline double followed(double played, double y, double half) {
-    double low = y - half, high = y + half;
-    return played < low ? low : played > high ? high : played;
+    return within(played, y - half, y + half);
 }
 
 static double play(const axis *a, const motion *at, double y, double u, double h) {
@@ -320,7 +347,11 @@ static motion step(axis *a, const motion *at, double time, double external, doub
             hung[i][0] = at->hung[i][0] + ahead * rates[i][0], hung[i][1] = at->hung[i][1] + ahead * rates[i][1];
         }
         state[0] = q0 + ahead * state[1], state[1] = v0 + ahead * motor;
-        if (HAS(a, BRISTLE)) {
+        if (SLIPS_OF(a)) {
+            double bent[SLIPS];
+            z = slip(a, at->slip, v0, state[0] - q0, state[1], ahead, bent);
+            limit = limit_at(a, state[1]);
+        } else if (HAS(a, BRISTLE)) {
             z = bend(a, at->bristle, before, v0, state[0] - q0, state[1], ahead, &limit);
         }
     }
@@ -334,7 +365,9 @@ static motion step(axis *a, const motion *at, double time, double external, doub
         end.hung[i][1] = i < n_hung ? at->hung[i][1] + sixth * sums[i][1] : end.velocity;
     }
     double moved = end.position - q0;
-    if (HAS(a, BRISTLE)) {
+    if (SLIPS_OF(a)) {
+        end.bristle = slip(a, at->slip, v0, moved, end.velocity, h, end.slip);
+    } else if (HAS(a, BRISTLE)) {
         end.bristle = bent(a, at->bristle, before, v0, moved, end.velocity, turn, h);
     }
     if (HAS(a, CABLE)) {

@@ -20,6 +20,17 @@ enum { N_COUNTS = sizeof COUNTS / sizeof *COUNTS };
 #define BREAKING_LOOSE 0.3
 #define MOST_TURN_STEPS 16.0
 #define PEAK_STEP 0.08
+#define SLOPE_BROKEN 4.0
+#define STICKING 0.999
+
+static double sticking(const axis *a, double towards) {
+    double stuck = 0.0;
+    for (int i = 0; i < SLIPS_OF(a); i++) {
+        double end = STICKING * a->presliding * a->slip_reach[i];
+        stuck = stuck + (towards * a->at.slip[i] < end ? a->slip_weight[i] : 0.0);
+    }
+    return stuck;
+}
 
 static double effort(const axis *a, double external, double command, double h) {
     const motion *at = &a->at;
@@ -56,6 +67,9 @@ static double effort(const axis *a, double external, double command, double h) {
     }
     if (HAS(a, BRISTLE)) {
         double towards = direction(at->velocity), openness = fabs(1.0 - towards * at->bristle * a->inverse_limit);
+        if (SLIPS_OF(a)) {
+            openness = SLOPE_BROKEN * sticking(a, towards);
+        }
         openness = speed <= reach ? 2.0 : openness;
         double rushing = fastest * a->inverse_limit, held = h * BREAKING_LOOSE * a->coulomb * a->inverse_mass;
         double bend = at->bristle * a->inverse_limit;
@@ -206,6 +220,9 @@ static int is_finite(const motion *at) {
     sum += at->force + at->played + at->walked;
     for (int i = 0; i < HUNG; i++) {
         sum += at->hung[i][0] + at->hung[i][1];
+    }
+    for (int i = 0; i < SLIPS; i++) {
+        sum += at->slip[i];
     }
     return sum - sum == 0.0;
 }

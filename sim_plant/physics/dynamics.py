@@ -16,6 +16,10 @@ Friction with presliding is the LuGre model (Canudas de Wit, Olsson, Astrom, Lis
     friction = s0 z + s1 z' + viscous q' + quadratic q' |q'|,   z' = q' - |q'| z / limit(q'),
     limit = presliding (1 + (stribeck / coulomb) / (1 + (q' / v_s)^2)),   s0 = coulomb / presliding
 
+or, on an axis that has elements, Maxwell-slip (Al-Bender, Lampaert, Swevers, IEEE TAC 50(11), 2005): springs side by
+side that follow the motor until each slips at its own length. z is then their mean deflection, weighted by stiffness,
+so that the force is s0 z as well, and they all slip where z = limit; s1 damps them as it damps the bristle.
+
 Between two reversals z depends on the distance alone: z = s limit + (z0 - s limit) exp(-|q - q0| / limit). It is worked
 out so at every stage of a Runge-Kutta step, which leaves nothing stiff: a step may be long against limit / |q'| once
 the axis slides. Without presliding friction is set-valued, and a step is one smooth branch of it (events.py).
@@ -95,6 +99,31 @@ class Dynamics(Terms):
         limit = self.limit_at(velocity)  # a ramp over the distance
         left, mean = decay_with_mean(towards * moved * (0.5 / before + 0.5 / limit))
         return towards * (limit - (limit - before) * mean) + (z - towards * before) * left, limit
+
+    def slip(self, begun: list[Number], v0: Number, arrived: Pair, span: Number) -> list[Number]:
+        """By how much each element is bent `span` seconds later (m); at most one reversal in between, as in `bend`."""
+        moved, velocity = arrived
+        turned = velocity * v0 < 0.0
+        turns = anywhere(turned)
+        there, most = moved, self.limit_at(0.0 * velocity)
+        if turns:
+            there = select(turned, v0 * v0 * span / (2.0 * select(turned, v0 - velocity, 1.0)), moved)
+        limit, bent = self.limit_at(velocity), []
+        for z, reach in zip(begun, self.structure.slip_reach, strict=False):
+            if turns:
+                z = select(turned, _within(z + there, -(most * reach), most * reach), z)
+                z = z + select(turned, moved - there, moved)
+            else:
+                z = z + moved
+            bent.append(_within(z, -(limit * reach), limit * reach))
+        return bent
+
+    def _mean(self, slips: list[Number]) -> Number:
+        """Of the elements' deflections (m), weighted by their stiffness."""
+        mean: Number = 0.0
+        for bent, weight in zip(slips, self.structure.slip_weight, strict=False):
+            mean = mean + weight * bent
+        return mean
 
     def _bent(self, begin: Triple, arrived: tuple[Number, Number], turn: Number, h: Number) -> Number:
         """The bristle at the end of a step. turn: how much the acceleration fell in it.
@@ -206,6 +235,7 @@ class Dynamics(Terms):
         turn: Number = 0.0
         speeds = accelerations = load_speeds = load_accelerations = 0.0
         hung0 = hung = self.hung_at(at)
+        slips = self.slips_at(at)
         sums: list[Pair] = [(0.0, 0.0)] * len(hung)
         for stage in range(4):
             along = begin if stage == 0 else end if stage == 3 else middle
@@ -227,14 +257,21 @@ class Dynamics(Terms):
                 y, u = y0 + ahead * u, u0 + ahead * b
             hung = [(p + ahead * w, r + ahead * c) for (p, r), (w, c) in zip(hung0, rates, strict=True)]
             q, v = q0 + ahead * v, v0 + ahead * a
-            if self.has_bristle:
+            if self.n_slips:
+                bristle = self._mean(self.slip(slips, v0, (q - q0, v), ahead)), self.limit_at(v)
+            elif self.has_bristle:
                 bristle = self.bend(start, (q - q0, v), ahead)
         sixth = h * (1.0 / 6.0)
         q, v = q0 + sixth * speeds, v0 + sixth * accelerations
         y, u = (y0 + sixth * load_speeds, u0 + sixth * load_accelerations) if self.has_mode else (q, v)
         hung = [(p + sixth * w, r + sixth * c) for (p, r), (w, c) in zip(hung0, sums, strict=True)]
-        z = self._bent(start, (q - q0, v), turn, h) if self.has_bristle else at.bristle
-        return self._arrived(at, (q, v, y, u, z), hung, forces[1], h)
+        z = at.bristle
+        if self.n_slips:
+            slips = self.slip(slips, v0, (q - q0, v), h)
+            z = self._mean(slips)
+        elif self.has_bristle:
+            z = self._bent(start, (q - q0, v), turn, h)
+        return self._arrived(at, (q, v, y, u, z), hung, slips, (forces[1], h))
 
     def _pulls(self, q: Number, v: Number, hung: list[Pair]) -> list[Number]:
         """Of the springs of the masses hung beside the load, on the motor (N)."""
@@ -290,17 +327,20 @@ class Dynamics(Terms):
         at: Motion,
         state: tuple[Number, Number, Number, Number, Number],
         hung: list[Pair],
-        command: Number,
-        h: Number,
+        slips: list[Number],
+        under: Pair,
     ) -> Motion:
-        """The whole state after a step that ends at (q, q', y, y', z), and with the other masses there."""
+        """The whole state after a step that ends at (q, q', y, y', z), with the other masses and the elements there.
+        under: the command (N), and how long (s)."""
+        command, h = under
         q, v, y, u, bristle = state
         moved = q - at.position
         cable = self._strained(at, moved) if self.has_cable else at.cable
         force = command + (at.force - command) * self._prepare_lag(h)[2] if self.has_lag else command
         played = self._play(at, y, u, h) if self.has_backlash else y
         (p2, w2), (p3, w3) = [*hung, (q, v), (q, v)][:HUNG]
-        return Motion(q, v, at.pierced, y, u, bristle, cable, force, played, at.walked, p2, w2, p3, w3)
+        a, b, c, d = [*slips, *[at.slip0, at.slip1, at.slip2, at.slip3][len(slips) :]]
+        return Motion(q, v, at.pierced, y, u, bristle, cable, force, played, at.walked, p2, w2, p3, w3, a, b, c, d)
 
     def _play(self, at: Motion, y: Number, u: Number, h: Number) -> Number:
         """The load's position behind the backlash: it follows the load at half of it, by way of its turning point."""
@@ -314,5 +354,8 @@ class Dynamics(Terms):
 
 
 def _followed(played: Number, y: Number, half: Number) -> Number:
-    low, high = y - half, y + half
-    return select(played < low, low, select(played > high, high, played))
+    return _within(played, y - half, y + half)
+
+
+def _within(value: Number, low: Number, high: Number) -> Number:
+    return select(value < low, low, select(value > high, high, value))

@@ -11,13 +11,13 @@ from typing import Final
 from sim_plant.physics.dynamics import Dynamics
 from sim_plant.physics.encoder import KEPT, Encoder, Point
 from sim_plant.physics.real_axis import RealAxis, piece_times
-from sim_plant.physics.structure import HUNG, LINES, Motion
+from sim_plant.physics.structure import HUNG, LINES, SLIPS, Motion
 
 Advance = Callable[[int, int, float, float, int, int], int]
 Show = Callable[[int, float, int], float]
 
-_MOTION: Final = 10 + 2 * HUNG  # words of a motion; of a point: 3
-_PARAMETERS: Final = 2 + 24 + 3 * HUNG + 6 * LINES + 16 + 4 * HUNG + 6
+_MOTION: Final = 10 + 2 * HUNG + SLIPS  # words of a motion; of a point: 3
+_PARAMETERS: Final = 2 + 24 + 3 * HUNG + 2 * SLIPS + 6 * LINES + 16 + 4 * HUNG + 6
 _KEYS: Final = 3
 _COMMAND: Final = _PARAMETERS + _KEYS
 _STEPS: Final = _COMMAND + 1

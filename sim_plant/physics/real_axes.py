@@ -25,6 +25,7 @@ BRISTLE, MODE, LAG, STRIBECK, VARIATION, CABLE, BACKLASH, CELL = (1 << bit for b
 LINE_COUNT, FLOOR_COUNT = 1 << 8, 1 << 11  # times the number of sinusoids
 NOISY, LATE = 1 << 14, 1 << 15
 HUNG_COUNT = 1 << 16  # times the number of masses hung beside the tool's
+SLIP_COUNT = 1 << 18  # times the number of Maxwell-slip elements
 DYNAMIC = BRISTLE | MODE | LAG | VARIATION | CABLE | BACKLASH | 7 * FLOOR_COUNT | 3 * HUNG_COUNT
 
 
@@ -70,6 +71,7 @@ def structure_of(truth: Truth, clamp: Array) -> Structure:
     others = flat["other_modes"]
     hung_mass, hung_ring = others["load"].T * mass * (others["frequency"].T > 0.0), TURN * others["frequency"].T
     cogging, floor = flat["cogging"], flat["vibration"]
+    weight, share = flat["slip"]["stiffness"].T * bristle, flat["slip"]["limit"].T * bristle
 
     def lines(key: str, ripple: Array) -> Array:
         return np.concatenate([ripple[None], cogging[key].T[: LINES - 1]])
@@ -97,6 +99,8 @@ def structure_of(truth: Truth, clamp: Array) -> Structure:
         hung_mass=hung_mass,
         hung_stiffness=hung_mass * hung_ring * hung_ring,
         hung_damping=2.0 * others["damping"].T * hung_ring * hung_mass,
+        slip_weight=weight,
+        slip_reach=share / np.where(weight > 0.0, weight, 1.0),
         line_amplitude=lines("amplitude", flat["ripple_amplitude"]),
         line_wavenumber=lines("wavenumber", 1.0 / flat["ripple_period"]),
         line_phase=lines("phase", 0.0 * mass),
@@ -132,6 +136,7 @@ def kinds_of(truth: Truth, s: Structure) -> NDArray[np.int64]:
     used = np.arange(1, LINES + 1)[:, None]
     kinds += LINE_COUNT * np.max(used * (s.line_amplitude != 0.0), axis=0)
     kinds += FLOOR_COUNT * np.max(used * (s.floor_amplitude != 0.0), axis=0)
+    kinds += SLIP_COUNT * np.sum(s.slip_weight > 0.0, axis=0)
     kinds += HUNG_COUNT * np.max(used[:HUNG] * (s.hung_mass != 0.0), axis=0)
     return kinds
 

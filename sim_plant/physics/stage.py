@@ -35,7 +35,7 @@ from sim_plant.physics.real_axes import (
 from sim_plant.physics.real_axis import RealAxis, disturbance_of, piece_times
 from sim_plant.physics.single_axis import SingleAxis, axis_of
 from sim_plant.physics.single_stage import IDEAL_PIECE_NS, SingleStage, encoder_of, real_pieces
-from sim_plant.physics.structure import Motion, Structure, rigid
+from sim_plant.physics.structure import SLIPS, Motion, Structure, rigid
 from sim_plant.physics.truth import Truth, per_axis_array
 
 __all__ = ["Stage", "Truth", "per_axis_array"]
@@ -91,9 +91,10 @@ class Stage:
         self._encoder: Encoder | None = None  # of a batch
         self._last_force: Sequence[float] | Array = [0.0] * truth.shape[-1]
         self._stiffness = np.zeros(truth.mass.size)
+        self._slipping = np.zeros(truth.mass.size, dtype=bool)  # axes whose elements are bent already
         q, v = _filled(position, truth.shape), _filled(velocity, truth.shape)
         pierced, bristle, cable, force, walked = (np.zeros(truth.shape) for _ in range(5))
-        still = Motion(q, v, pierced, q, v, bristle, cable, force, q, walked, q, v, q, v)
+        still = Motion(q, v, pierced, q, v, bristle, cable, force, q, walked, q, v, q, v, *[bristle] * SLIPS)
         self._motion = Motion(*(array.copy() for array in still))
         self._configure(self._motion)
 
@@ -142,8 +143,17 @@ class Stage:
         kept = motion.bristle.reshape(-1) * (self._stiffness / np.where(has, stiffness, 1.0))
         begun = presliding * np.sign(motion.velocity.reshape(-1))
         bristle = np.where(self._stiffness > 0.0, np.clip(kept, -most, most), begun) * has
-        self._stiffness = stiffness
-        return motion._replace(bristle=bristle.reshape(motion.bristle.shape))
+        shape, slipping = motion.bristle.shape, structure.slip_weight[0] > 0.0
+        if slipping.any():
+            kept = np.stack([array.reshape(-1) for array in motion[-SLIPS:]]) * (
+                self._stiffness / np.where(has, stiffness, 1.0)
+            )
+            reach = structure.slip_reach
+            bent = np.where(self._slipping, np.clip(kept, -most * reach, most * reach), bristle * reach)
+            bristle = np.where(slipping, (structure.slip_weight * bent).sum(axis=0), bristle)
+            motion = Motion(*motion[:-SLIPS], *(array.reshape(shape).copy() for array in bent))
+        self._stiffness, self._slipping = stiffness, slipping
+        return motion._replace(bristle=bristle.reshape(shape))
 
     def _motions(self) -> Motion:
         """State of every axis as arrays."""
@@ -367,4 +377,4 @@ def _axis_numbers(shape: tuple[int, ...]) -> NDArray[np.uint64]:
 def _rigid_motion(axis: SingleAxis, force: float) -> Motion:
     """The motion of an ideal axis under this command (N)."""
     q, v = axis.position, axis.velocity
-    return Motion(q, v, axis.pierced, q, v, 0.0, 0.0, force, q, 0.0, q, v, q, v)
+    return Motion(q, v, axis.pierced, q, v, 0.0, 0.0, force, q, 0.0, q, v, q, v, *[0.0] * SLIPS)

@@ -8,16 +8,18 @@ Lines = Any  # LINES floats, or as many arrays
 
 LINES = 4  # sinusoids of one kind an axis can have
 HUNG = 2  # masses on springs of their own that hang on a motor beside the tool's
+SLIPS = 4  # Maxwell-slip elements an axis can have
 
 
 class Structure(NamedTuple):
-    """Parameters of one axis (floats; lines and hung: tuples) or of many (arrays (n,); lines: (LINES, n), hung:
-    (HUNG, n)), SI; absent: zero.
+    """Parameters of one axis (floats; lines, hung and slip: tuples) or of many (arrays (n,); lines: (LINES, n),
+    hung: (HUNG, n), slip: (SLIPS, n)), SI; absent: zero.
 
     mass: kg, of all that moves. coulomb, stribeck: N. slowness: s/m, 1 / v_s. viscous: N s/m. quadratic: N s^2/m^2.
     presliding: m. bristle_damping: N s/m, s1. lag: s. load: kg, m2. mode_stiffness: N/m. mode_damping: N s/m.
     variation: fraction of the dry friction, a sinusoid of position. cable_stiffness: N/m. cable_hysteresis: N.
-    cable_reach: m. backlash: m. hung_...: of other masses on the motor, as load and mode_.... line_...:
+    cable_reach: m. backlash: m. hung_...: of other masses on the motor, as load and mode_.... slip_...: of
+    the elements, their parts of the stiffness at rest, and where they slip, in lengths of presliding. line_...:
     sinusoids of position, N. floor_...: of time, m/s^2. The membrane's: as in membrane.py.
     """
 
@@ -43,6 +45,8 @@ class Structure(NamedTuple):
     hung_mass: Lines
     hung_stiffness: Lines
     hung_damping: Lines
+    slip_weight: Lines
+    slip_reach: Lines
     line_amplitude: Lines
     line_wavenumber: Lines
     line_phase: Lines
@@ -60,7 +64,7 @@ class Motion(NamedTuple):
     """State of an axis: the motor's position and velocity, m and m/s; pierced: 1.0 or 0.0; the load's position and
     velocity. bristle: z, m; cable: -1 to 1, of its hysteresis; force: N, f behind the lag; played: m, the load's
     position behind the backlash; walked: N, of the bias; second_..., third_...: of the masses hung on the motor beside
-    the load. A mass that there is not is where the motor is.
+    the load. A mass that there is not is where the motor is. slip0 to slip3: m, by which each element is bent.
     """
 
     position: Number
@@ -77,15 +81,20 @@ class Motion(NamedTuple):
     second_velocity: Number
     third_position: Number
     third_velocity: Number
+    slip0: Number
+    slip1: Number
+    slip2: Number
+    slip3: Number
 
 
 def rigid(motion: Motion, position: Number, velocity: Number, pierced: Number) -> Motion:
     """The motion of an axis whose load is its motor; bristle, cable, force and walk as they were."""
     q, v, m = position, velocity, motion
-    return Motion(q, v, pierced, q, v, m.bristle, m.cable, m.force, q, m.walked, q, v, q, v)
+    slips = m.slip0, m.slip1, m.slip2, m.slip3
+    return Motion(q, v, pierced, q, v, m.bristle, m.cable, m.force, q, m.walked, q, v, q, v, *slips)
 
 
 def with_walk(motion: Motion, walked: Number) -> Motion:
     """The same motion under a bias that has walked to `walked` (N)."""
-    q, v, pierced, y, u, bristle, cable, force, played, _, p2, w2, p3, w3 = motion
-    return Motion(q, v, pierced, y, u, bristle, cable, force, played, walked, p2, w2, p3, w3)
+    q, v, pierced, y, u, bristle, cable, force, played, _, p2, w2, p3, w3, a, b, c, d = motion
+    return Motion(q, v, pierced, y, u, bristle, cable, force, played, walked, p2, w2, p3, w3, a, b, c, d)

@@ -24,6 +24,8 @@ BRISTLE_LEAST: Final = 0.001  # of such a ring: a smaller one has the steps of t
 TURN_STEP: Final = 1e-8  # m (rad): eight times how far an axis comes to a stop within a step, where it may turn round
 BREAKING_LOOSE: Final = 0.3  # of the dry friction, that may be gone within a piece
 MOST_TURN_STEPS: Final = 16.0  # a piece: where accelerations are so large, positions are not judged by the nanometre
+SLOPE_BROKEN: Final = 4.0  # where elements may slip, which breaks the force's slope: half as long a step
+STICKING: Final = 0.999  # of its limit: less, and an element sticks
 LINE_STEP: Final = 0.4  # rad of a sinusoid
 SLOPE_STEP: Final = 0.1  # of the other rates
 PEAK_STEP: Final = 0.08  # of v_s on the way through a Stribeck peak
@@ -46,6 +48,7 @@ class Terms:
         self.has_cable = bool(kind & 32)
         self.has_backlash = bool(kind & 64)
         self.has_cell = bool(kind & 128)
+        self.n_slips = kind >> 18 & 7
         self.structure = structure
         self.kind = kind
         self.membrane = Membrane(s.surface, s.direction, s.membrane, s.puncture_depth, s.drag)
@@ -128,6 +131,18 @@ class Terms:
         both = [(at.second_position, at.second_velocity), (at.third_position, at.third_velocity)]
         return both[: len(self.hung)]
 
+    def slips_at(self, at: Motion) -> list[Number]:
+        """By how much each Maxwell-slip element is bent (m)."""
+        return [at.slip0, at.slip1, at.slip2, at.slip3][: self.n_slips]
+
+    def _sticking(self, at: Motion, towards: Number) -> Number:
+        """The part of the stiffness at rest whose elements stick in this direction."""
+        s = self.structure
+        stuck: Number = 0.0
+        for bent, weight, reach in zip(self.slips_at(at), s.slip_weight, s.slip_reach, strict=False):
+            stuck = stuck + select(towards * bent < STICKING * s.presliding * reach, weight, 0.0)
+        return stuck
+
     def effort(self, at: Motion, forces: tuple[Number, Number], h: float) -> Number:
         """Steps that h seconds should be divided into, not rounded. forces: as in `step`."""
         s = self.structure
@@ -162,6 +177,8 @@ class Terms:
         if self.has_bristle:
             towards = direction(at.velocity)
             openness = abs(1.0 - towards * at.bristle * self.inverse_limit)
+            if self.n_slips:
+                openness = SLOPE_BROKEN * self._sticking(at, towards)
             openness = select(speed <= reach, 2.0, openness)
             rushing = fastest * self.inverse_limit
             held = h * BREAKING_LOOSE * s.coulomb * self.inverse_mass  # no part of what turns it round

@@ -2,20 +2,22 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_plant.config import MOST_LOAD, ModeConfig, PlantConfig
+from sim_plant.config import MOST_LOAD, ModeConfig, PlantConfig, SlipConfig
 from sim_plant.physics.exact_trigonometry import TURN
-from sim_plant.physics.structure import HUNG, LINES
+from sim_plant.physics.structure import HUNG, LINES, SLIPS
 from sim_plant.stages import staged
 
 Array = NDArray[np.float64]
+_Entry = TypeVar("_Entry", ModeConfig, SlipConfig)
 
 SINUSOIDS = np.dtype([("amplitude", "f8", (LINES,)), ("wavenumber", "f8", (LINES,)), ("phase", "f8", (LINES,))])
 OTHER_MODES = np.dtype([("frequency", "f8", (HUNG,)), ("damping", "f8", (HUNG,)), ("load", "f8", (HUNG,))])
+SLIP = np.dtype([("stiffness", "f8", (SLIPS,)), ("limit", "f8", (SLIPS,))])
 
 # What may be changed of an axis' first line: its array, its field, what the field holds of the value, and back.
 FIRST_LINE: dict[str, tuple[str, str, Callable[[Array], Array], Callable[[Array], Array]]] = {
@@ -36,8 +38,9 @@ class Truth:
     cell_stiffness: N/m^3 (0: no cell). cell_drag: N s/m.
 
     The others as in PlantConfig; mode_frequency in Hz (0: no mode): of the tool. other_modes: structured array of
-    OTHER_MODES, those beside the tool's: Hz, damping ratio, part of the mass. cogging and vibration: structured arrays
-    of SINUSOIDS: amplitude in N and m/s^2, wavenumber in turns per m and per s, phase in turns.
+    OTHER_MODES, those beside the tool's: Hz, damping ratio, part of the mass. slip: structured array of SLIP, an axis'
+    Maxwell-slip elements: their parts of the stiffness at rest and of the dry friction. cogging and vibration:
+    structured arrays of SINUSOIDS: amplitude in N and m/s^2, wavenumber in turns per m and per s, phase in turns.
     """
 
     mass: Array
@@ -63,6 +66,7 @@ class Truth:
     mode_damping: Array
     mode_load: Array
     other_modes: NDArray[np.void]
+    slip: NDArray[np.void]
     friction_variation: Array
     friction_period: Array
     friction_phase: Array
@@ -101,7 +105,7 @@ class Truth:
             "mode_damping": 0.0,
             "mode_load": 0.0,
         }
-        lists = {"cogging": SINUSOIDS, "vibration": SINUSOIDS, "other_modes": OTHER_MODES}
+        lists = {"cogging": SINUSOIDS, "vibration": SINUSOIDS, "other_modes": OTHER_MODES, "slip": SLIP}
         straight = [field.name for field in fields(cls) if field.name not in (*per_axis, *lists)]
         per_axis |= {key: getattr(plant, key) for key in straight}
         arrays: dict[str, NDArray[Any]] = {
@@ -163,16 +167,32 @@ class _Entries:
                 for key in ("surface", "direction", "stiffness", "drag"):
                     self._arrays[f"cell_{key}"][axis] = getattr(cell, key)
                 self._arrays["puncture_depth"][axis] = cell.puncture_depth
-        stated = [self._axes("modes", mode.axis) for mode in plant.modes]
-        for axis in range(self._n_axes):
-            own = [mode for mode, axes in zip(plant.modes, stated, strict=True) if mode.axis and axis in axes]
-            self._hang(axis, own or [mode for mode in plant.modes if mode.axis is None])
+        for axis, modes in self._own("modes", plant.modes):
+            self._hang(axis, modes)
+        for axis, elements in self._own("slip", plant.slip):
+            self._slip(axis, elements)
         for cogging in plant.cogging:
             for axis in self._axes("cogging", cogging.axis):
                 self._add("cogging", axis, cogging.amplitude, 1.0 / cogging.period, cogging.phase)
         for line in plant.vibration:
             for axis in self._axes("vibration", line.axis):
                 self._add("vibration", axis, line.acceleration, line.frequency_hz, line.phase)
+
+    def _own(self, key: str, entries: Sequence[_Entry]) -> list[tuple[int, list[_Entry]]]:
+        """Of each axis its entries in their order: those that name it, else those that name none."""
+        stated = [(self._axes(key, entry.axis), entry) for entry in entries]
+        every = [entry for entry in entries if entry.axis is None]
+        own = [[entry for axes, entry in stated if entry.axis and axis in axes] for axis in range(self._n_axes)]
+        return [(axis, found or every) for axis, found in enumerate(own)]
+
+    def _slip(self, axis: int, elements: Sequence[SlipConfig]) -> None:
+        """Their parts of all there is. Raises ValueError where the axis has no presliding."""
+        if elements and not self._arrays["presliding"][axis]:
+            name = self._names[axis] if self._names else axis
+            raise ValueError(f"plant.slip: axis {name} has plant.presliding = 0; expected above 0 for its elements")
+        for key in ("stiffness", "limit"):
+            values = [getattr(element, key) for element in elements]
+            self._arrays["slip"][key][axis, : len(values)] = np.divide(values, sum(values))
 
     def _hang(self, axis: int, modes: Sequence[ModeConfig]) -> None:
         """The first carries the tool."""

@@ -11,17 +11,23 @@ from tests.golden.golden import hold
 from tests.golden.plants.tell import EFFECTS, MS, THERE_AND_BACK, lines, plant_with, shown_by, with_and_without
 
 OTHERS = [{"axis": "x", "frequency_hz": 330.0, "load": 0.05}, {"axis": "x", "frequency_hz": 900.0, "load": 0.02}]
+ELEMENTS = [
+    {"axis": "x", "stiffness": 4.0, "limit": 1.0},
+    *[{"axis": "x", "limit": limit} for limit in (1.0, 2.0, 7.0)],
+]
 plants = st.builds(
-    lambda chosen, others, mass, coulomb, seed: PlantConfig(
+    lambda chosen, others, elements, mass, coulomb, seed: PlantConfig(
         mass=[mass, 0.3],
         coulomb=[coulomb, 0.4],
         viscous=[1.0, 2.0],
         quadratic=[0.1, 0.0],
         seed=seed,
         **{name: EFFECTS[name] + OTHERS[:others] * (name == "modes") for name in chosen},
+        slip=ELEMENTS[: elements * ("presliding" in chosen)],
     ),
     st.sets(st.sampled_from(sorted(EFFECTS))),
     st.integers(0, 2),
+    st.integers(0, 4),
     st.floats(0.1, 1.5),
     st.floats(0.1, 1.0),
     st.integers(0, 2**32 - 1),

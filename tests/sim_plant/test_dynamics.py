@@ -232,7 +232,7 @@ def test_what_pulls_on_a_motor_that_friction_holds_is_the_sum_of_all_that_hangs_
     structure = structure_of(stage.truth, np.zeros(1))
     axis = dynamics_of(take(structure, 0), int(kinds_of(stage.truth, structure)[0]))
     q, tool, speed, bent, lagged, t = 1.3e-3, 1.5e-3, -0.02, 0.4, 0.7, 0.011
-    at = Motion(q, 0.0, 0.0, tool, speed, 0.0, bent, lagged, tool, 0.0, q - 2e-6, 0.01, q, 0.0)
+    at = Motion(q, 0.0, 0.0, tool, speed, 0.0, bent, lagged, tool, 0.0, q - 2e-6, 0.01, q, 0.0, *[0.0] * 4)
     net, hold = axis.load_on_motor(at, t, (0.11, 9.0))
     ring = 2.0 * math.pi * 200.0
     coupling = 0.3 * 0.93 * (ring * ring * (tool - q) + 0.2 * ring * speed)

@@ -55,6 +55,17 @@ KEYS: dict[str, st.SearchStrategy] = {
     "encoder_latency": drawn(0.0, 1e-3),
     "gravity": drawn(-2.0, 2.0),
     "drift": drawn(-1e-5, 1e-5),
+    "slip": st.lists(
+        st.fixed_dictionaries(
+            {
+                "axis": st.sampled_from([None, "x"]),
+                "stiffness": st.floats(1e-3, 1e3),
+                "limit": st.floats(1e-3, 1e3),
+            }
+        ),
+        min_size=1,
+        max_size=4,
+    ),
     "modes": st.lists(
         st.fixed_dictionaries(
             {
@@ -97,7 +108,10 @@ def plants(draw: st.DrawFn) -> PlantConfig:
         "quadratic": draw(drawn(0.0, 5.0)),
         "seed": draw(st.integers(0, 2**32 - 1)),
     }
-    return PlantConfig(**base, **{key: draw(KEYS[key]) for key in sorted(chosen)})
+    keys = {key: draw(KEYS[key]) for key in sorted(chosen)}
+    if "slip" in keys:  # elements need it
+        keys["presliding"] = draw(drawn(1e-7, 1e-5))
+    return PlantConfig(**base, **keys)
 
 
 def in_python(truth: Truth, position: list[float], velocity: list[float]) -> Stage:

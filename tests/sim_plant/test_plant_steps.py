@@ -14,7 +14,7 @@ from sim_plant.scenario.language import KINDS, PLANT_PREFIX
 from tests.golden.plants.tell import EFFECTS, MS, shown_by
 
 IDEAL = {"mass", "coulomb", "viscous", "quadratic", "gravity", "modelling_error", "puncture_depth", "seed"}
-FIXED = {"other_modes"}  # what no step changes
+FIXED = {"other_modes", "slip"}  # what no step changes
 IDEAL_BEGIN = ("stribeck", "ripple", "cell")
 STEPS = {
     "presliding": 3e-6, "presliding_damping": 0.6, "torque_lag": 8e-4, "torque_noise": 0.02, "mode_frequency": 90.0,
