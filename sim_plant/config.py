@@ -6,6 +6,7 @@ from pydantic import Field, field_validator, model_validator
 
 from drivers.base.keys import REQUIRED, Table, key
 from drivers.base.plugins import Kind, known, unknown
+from sim_plant.axis_config import MOST_MODES, MOST_SLIPS, ModeConfig, SlipConfig, modes_fit
 from sim_plant.dish_config import DishConfig
 
 # Of any quantity, in SI units. Beyond, the quotient of two can be zero or infinite.
@@ -13,9 +14,6 @@ Positive = Annotated[float, Field(ge=1e-15, le=1e15)]
 Angle = Annotated[float, Field(ge=-1e3, le=1e3)]
 Distance = Annotated[float, Field(ge=0, le=1)]
 Ratio = Annotated[float, Field(ge=0, le=10)]
-MOST_LOAD = 0.95  # of an axis' mass, on springs
-MOST_MODES, MOST_SLIPS = 3, 4  # of an axis
-Share = Annotated[float, Field(ge=1e-3, le=1e3)]
 Part = Annotated[float, Field(ge=0, le=0.95)]
 Lag = Annotated[float, Field(ge=0, le=0.1)]
 Speed = Annotated[float, Field(ge=-1, le=1)]
@@ -60,41 +58,6 @@ class CellConfig(Table):
     stiffness: Positive = key(1.54e8, "force over the cube of the depth", "N/m^3")
     puncture_depth: Positive = key(164e-6, "depth at which the membrane is pierced", "m")
     drag: NonNegative = key(0.0, "viscous drag inside the cell, after piercing", "N s/m")
-
-
-class ModeConfig(Table):
-    """[[plant.modes]]: a mass on a spring beside the motor, which the encoder sees (physics/dynamics.py).
-
-    An axis' first carries the tool; others only ring.
-    """
-
-    axis: str | None = key(None, "axis that rings; without: every axis that has no entry of its own")
-    frequency_hz: float = key(
-        REQUIRED,
-        "at which it rings while the motor is held; 1/sqrt(1 - load) times that while it is free, where it is alone",
-        "Hz",
-        ge=1,
-        le=5000,
-    )
-    damping: float = key(0.02, "its damping ratio on the held motor", "1", ge=0, le=1)
-    load: float = key(
-        0.3,
-        f"its fraction of the moving mass; those of an axis together: at most {MOST_LOAD}",
-        "1",
-        ge=0.001,
-        le=MOST_LOAD,
-    )
-
-
-class SlipConfig(Table):
-    """[[plant.slip]]: Maxwell-slip friction, a spring that slips at its limit, in place of the LuGre bristle.
-
-    An axis' elements together have its Coulomb friction, and at rest the stiffness coulomb / presliding.
-    """
-
-    axis: str | None = key(None, "axis that has it; without: every axis that has no entry of its own")
-    stiffness: Share = key(1.0, "its stiffness, in proportion to the axis' other elements", "1")
-    limit: Share = key(1.0, "force at which it slips, in proportion to the axis' other elements", "1")
 
 
 class SwitchConfig(Table):
@@ -413,12 +376,7 @@ class PlantConfig(Table):
                 raise ValueError(
                     f"{name}: more than {most} on axis {', '.join(often)}; allowed per axis: at most {most}"
                 )
-        for axis in dict.fromkeys(mode.axis for mode in self.modes):
-            load = sum(mode.load for mode in self.modes if mode.axis == axis)
-            if load > MOST_LOAD + 1e-9:
-                raise ValueError(
-                    f"modes: load of axis {axis or '(every)'} is {load:.6g} together; allowed: at most {MOST_LOAD}"
-                )
+        modes_fit(self.modes)
         return self
 
     @model_validator(mode="after")

@@ -24,7 +24,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from drivers.base import plugins
-from sim_plant.config import REAL_STAGES, STAGES, ModeConfig, PlantConfig, VibrationConfig
+from sim_plant.axis_config import ModeConfig
+from sim_plant.config import REAL_STAGES, STAGES, PlantConfig, VibrationConfig
 
 VC_C = VibrationConfig(acceleration=2.8e-3, frequency_hz=25.0)  # sqrt(2) 2 pi 25 Hz 12.5 um/s
 Scaled = Callable[[float], list[float]]

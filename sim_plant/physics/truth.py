@@ -7,7 +7,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_plant.config import MOST_LOAD, ModeConfig, PlantConfig, SlipConfig
+from sim_plant.axis_config import MOST_LOAD, ModeConfig, SlipConfig
+from sim_plant.config import PlantConfig
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.structure import HUNG, LINES, SLIPS
 from sim_plant.stages import staged
@@ -195,13 +196,14 @@ class _Entries:
             self._arrays["slip"][key][axis, : len(values)] = np.divide(values, sum(values))
 
     def _hang(self, axis: int, modes: Sequence[ModeConfig]) -> None:
-        """The first carries the tool."""
-        for mode in modes[:1]:
-            self._arrays["mode_frequency"][axis] = mode.frequency_hz
-            self._arrays["mode_damping"][axis] = mode.damping
-            self._arrays["mode_load"][axis] = mode.load
+        """The first one that does carries the tool."""
+        tool = next((mode for mode in modes if mode.tool), None)
+        if tool:
+            self._arrays["mode_frequency"][axis] = tool.frequency_hz
+            self._arrays["mode_damping"][axis] = tool.damping
+            self._arrays["mode_load"][axis] = tool.load
         others = self._arrays["other_modes"]
-        for place, mode in enumerate(modes[1:]):
+        for place, mode in enumerate(mode for mode in modes if mode is not tool):
             for name, value in (("frequency", mode.frequency_hz), ("damping", mode.damping), ("load", mode.load)):
                 others[name][axis, place] = value
 

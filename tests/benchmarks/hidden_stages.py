@@ -94,8 +94,8 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
         "position_drift": 0.0,
         "delay": of("encoder_latency"),
     }
-    for mode in reversed(plant.modes):  # the first is the tool's
-        if mode.axis == axis:
+    for mode in plant.modes:
+        if mode.axis == axis and mode.tool:
             truth |= {"mode_frequency_hz": mode.frequency_hz, "mode_damping": mode.damping, "mode_load": mode.load}
     return truth
 

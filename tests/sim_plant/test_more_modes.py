@@ -21,9 +21,9 @@ FREE = {"mass": [MASS], "coulomb": [0.0], "viscous": [0.0], "quadratic": [0.0]}
 HZ, DAMPING, LOAD = (150.0, 320.0, 447.0), (0.02, 0.005, 0.01), (0.3, 0.08, 0.02)
 
 
-def modes(count: int, *, axis: str | None = "x", damped: bool = True) -> list[dict[str, Any]]:
+def modes(count: int, *, damped: bool = True, tool: bool = True) -> list[dict[str, Any]]:
     rows = list(zip(HZ, DAMPING, LOAD, strict=True))[:count]
-    return [{"axis": axis, "frequency_hz": f, "damping": d * damped, "load": part} for f, d, part in rows]
+    return [{"axis": "x", "frequency_hz": f, "damping": d * damped, "load": part, "tool": tool} for f, d, part in rows]
 
 
 def stage_of(velocity: float = 0.0, **keys: Any) -> Stage:
@@ -69,8 +69,8 @@ def test_a_free_axis_rings_at_the_eigenfrequencies_of_its_matrices_and_at_no_oth
         assert left(other) > 1e-9
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_a_free_axis_moves_under_steps_of_force_as_its_matrices_say(count: int) -> None:
+@pytest.mark.parametrize(("count", "tool"), [(1, True), (2, True), (3, True), (1, False), (2, False)])
+def test_a_free_axis_moves_under_steps_of_force_as_its_matrices_say(count: int, tool: bool) -> None:
     mass, stiffness, damping = matrices(count)
     n = count + 1
     system = np.zeros((2 * n + 1, 2 * n + 1))
@@ -79,16 +79,16 @@ def test_a_free_axis_moves_under_steps_of_force_as_its_matrices_say(count: int) 
     system[n : 2 * n, n : 2 * n] = -np.linalg.solve(mass, damping)
     system[n, -1] = 1.0 / mass[0, 0]
     over = expm(system * 1e-3)
-    stage, state = stage_of(**FREE, modes=modes(count)), np.zeros(2 * n + 1)
+    stage, state = stage_of(**FREE, modes=modes(count, tool=tool)), np.zeros(2 * n + 1)
     for i in range(200):
         state[-1] = 0.4 * math.sin(0.7 * i) + 0.3 * (-1) ** i
         stage.advance(MS, [state[-1]])
         state = over @ state
         assert stage.readings()[0] == pytest.approx(state[0], abs=1e-9)
-        assert stage.positions[0] == pytest.approx(state[1], abs=1e-9)
+        assert stage.positions[0] == pytest.approx(state[1 if tool else 0], abs=1e-9)
         motion = stage._motions()
-        others = [motion.second_position, motion.third_position][: count - 1]
-        assert [float(other[0]) for other in others] == pytest.approx(state[2:n].tolist(), abs=2e-9)
+        others = [motion.second_position, motion.third_position][: count - tool]
+        assert [float(other[0]) for other in others] == pytest.approx(state[1 + tool : n].tolist(), abs=2e-9)
 
 
 def test_without_a_force_mechanical_energy_only_ever_falls() -> None:
@@ -176,8 +176,10 @@ def test_a_held_motor_comes_loose_by_what_the_other_masses_pull() -> None:
     assert ends[1] != 0.0
 
 
-def test_the_first_carries_the_tool_and_an_axis_with_entries_of_its_own_takes_no_others() -> None:
-    mixed = [*modes(3), {"frequency_hz": 90.0, "load": 0.2}, {"frequency_hz": 200.0, "load": 0.05}]
+def test_one_entry_carries_the_tool_and_an_axis_with_entries_of_its_own_takes_no_others() -> None:
+    own = modes(3)
+    own = [own[1] | {"tool": False}, own[0], own[2]]
+    mixed = [*own, {"frequency_hz": 90.0, "load": 0.2}, {"frequency_hz": 200.0, "load": 0.05}]
     keys = {key: [*value, *value] for key, value in X.items()}
     truth = Truth.from_config(PlantConfig(**keys, modes=mixed), 2, ["x", "y"])
     assert truth.mode_frequency.tolist() == [150.0, 90.0]
@@ -190,6 +192,8 @@ def test_the_first_carries_the_tool_and_an_axis_with_entries_of_its_own_takes_no
 def test_too_many_modes_and_too_much_mass_on_them_are_refused_by_axis_and_value() -> None:
     with pytest.raises(ValidationError, match=r"modes: more than 3 on axis x; allowed per axis: at most 3"):
         PlantConfig(**X, modes=[*modes(3), *modes(1)])
+    with pytest.raises(ValidationError, match=r"modes: 3 on axis x have tool = false; allowed: 2"):
+        PlantConfig(**X, modes=modes(3, tool=False))
     heavy = [{"axis": "x", "frequency_hz": 100.0, "load": 0.5}] * 2
     with pytest.raises(ValidationError, match=r"modes: load of axis x is 1 together; allowed: at most 0\.95"):
         PlantConfig(**X, modes=heavy)

@@ -73,11 +73,12 @@ KEYS: dict[str, st.SearchStrategy] = {
                 "frequency_hz": st.floats(5.0, 900.0),
                 "damping": st.floats(0.0, 0.5),
                 "load": st.floats(0.01, 0.3),
+                "tool": st.booleans(),
             }
         ),
         min_size=1,
         max_size=3,
-    ),
+    ).map(lambda modes: [*modes[:2], *(mode | {"tool": True} for mode in modes[2:])]),
     "cogging": st.lists(
         st.fixed_dictionaries({"amplitude": st.floats(0.0, 0.5), "period": st.floats(1e-5, 0.1)}), max_size=3
     ),

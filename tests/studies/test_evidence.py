@@ -60,12 +60,50 @@ def test_a_hard_stage_is_the_same_stage_with_more_of_what_real_ones_have() -> No
     differs = {name for name, value in hard if value != getattr(plain, name)}
     assert differs == {
         "friction_period", "stribeck_scale", "stribeck_velocity", "encoder_periodic_error", "encoder_latency",
+        "modes", "slip",
     }  # fmt: skip
+    assert [mode for mode in hard.modes if mode.tool] == plain.modes
     drawn = [plant_of(one, 3, number, 0.0, hard=True) for number in range(30)]
     periods = np.array([plant.friction_period for plant in drawn])
     assert 0.6e-3 <= periods.min() < 0.7e-3
     assert 1.9e-3 < periods.max() <= 2e-3
     assert all(Truth.from_config(plant, 4, one.axis_names) for plant in drawn)
+
+
+@pytest.mark.parametrize("mode_hz", [0.0, 150.0, 250.0])
+def test_hard_stages_ring_where_no_model_says_and_half_of_them_slip_element_by_element(mode_hz: float) -> None:
+    one = rig()
+    drawn = [plant_of(one, 3, number, mode_hz, hard=True) for number in range(60)]
+    others = [[m for m in plant.modes if m.axis == "x" and not m.tool] for plant in drawn]
+    assert 20 <= sum(len(found) == 2 for found in others) <= 40
+    assert all(found for found in others)
+    first = [max([0.0, *(m.frequency_hz for m in plant.modes if m.axis == "x" and m.tool)]) for plant in drawn]
+    low = np.array([1.5 * hertz / 0.7**0.5 or 150.0 for hertz in first])
+    part = (np.array([found[0].frequency_hz for found in others]) - low) / (450.0 - low)
+    assert 0.0 <= part.min() < 0.1
+    assert 0.9 < part.max() <= 1.0
+    loads, ratios = (np.array([getattr(found[-1], key) for found in others]) for key in ("load", "damping"))
+    assert 0.02 <= loads.min() < 0.025
+    assert 0.075 < loads.max() <= 0.08
+    assert 0.005 <= ratios.min() < ratios.max() <= 0.02
+    truths = [stage_of(one, 3, number, mode_hz, hard=True) for number in range(60)]
+    slipping = [truth.slip[0] for truth in truths if truth.slip["limit"][0].any()]
+    assert 20 <= len(slipping) <= 40
+    lengths = np.array([slip["limit"] / slip["stiffness"] for slip in slipping])
+    spread = lengths[:, -1] / lengths[:, 0]
+    assert spread.min() * (1 + 1e-9) >= 5.0
+    assert 40.0 < spread.max() <= 50.0 * (1 + 1e-9)
+
+
+def test_where_the_first_resonance_leaves_no_room_below_half_the_rate_a_hard_stage_has_no_other() -> None:
+    assert all(mode.tool for mode in plant_of(rig(), 3, 5, 400.0, hard=True).modes)
+    heavy = load_rig(
+        RIGS / "microscope-ideal.toml", ["axes.x.model.mode_frequency_hz=60", "axes.x.model.mode_load=0.9"]
+    )
+    for number in range(10):
+        loads = [mode.load for mode in plant_of(heavy, 3, number, None, hard=True).modes if mode.axis == "x"]
+        assert len(loads) > 1
+        assert sum(loads) <= 0.95
 
 
 def test_stages_of_a_measured_rig_stay_within_what_was_measured() -> None:
@@ -89,12 +127,13 @@ def test_stages_of_a_measured_rig_stay_within_what_was_measured() -> None:
     assert spread(lags.tolist(), 3e-4) <= 0.06
 
 
+@pytest.mark.parametrize("hard", [False, True])
 @pytest.mark.parametrize("mode_hz", [0.0, 150.0])
-def test_a_stage_of_the_table_can_be_made_of_the_rig_file(mode_hz: float) -> None:
+def test_a_stage_of_the_table_can_be_made_of_the_rig_file(mode_hz: float, hard: bool) -> None:
     """What --json writes beside each stage: that rig file is this stage, with what its law is told."""
     one = rig()
-    made = load_rig(RIGS / "microscope.toml", ["law.name=presliding-kalman", *overrides(one, 3, 5, mode_hz)])
-    of_file, of_table = Truth.from_config(made.plant, 4, made.axis_names), stage_of(one, 3, 5, mode_hz)
+    made = load_rig(RIGS / "microscope.toml", ["law.name=presliding-kalman", *overrides(one, 3, 5, mode_hz, hard=hard)])
+    of_file, of_table = Truth.from_config(made.plant, 4, made.axis_names), stage_of(one, 3, 5, mode_hz, hard=hard)
     for field in fields(Truth):
         assert np.array_equal(getattr(of_file, field.name), getattr(of_table, field.name)), field.name
     for name, axis in nominal(one, mode_hz).axes.items():

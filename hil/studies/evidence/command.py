@@ -30,7 +30,9 @@ def evidence(
     hard: Annotated[
         bool,
         typer.Option(
-            "--hard", help="stages with Stribeck friction, rolling elements that pass, encoder errors, latency"
+            "--hard",
+            help="stages with Stribeck and Maxwell-slip friction, rolling elements that pass, resonances that no model "
+            "has, encoder errors, latency",
         ),
     ] = False,
     measured: Annotated[

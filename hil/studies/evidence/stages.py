@@ -18,7 +18,8 @@ import numpy as np
 from drivers.base.toml_file import toml_value
 from hil.rig.schema import RigConfig
 from hil.studies.population import Range, between, drawn, truth_of
-from sim_plant.config import CoggingConfig, ModeConfig, PlantConfig
+from sim_plant.axis_config import MOST_LOAD, ModeConfig, SlipConfig
+from sim_plant.config import CoggingConfig, PlantConfig
 from sim_plant.physics.truth import Truth
 
 PRESLIDING = (0.3e-6, 30e-6)  # m (rad), log-uniform
@@ -29,6 +30,11 @@ CABLE, HYSTERESIS, REACH = 1 / 6, 0.01, 5e-4  # of Coulomb friction: a metre, ha
 BIAS = 0.1  # of Coulomb friction: at most, either sign
 # Of hard stages: rolling elements that pass, Stribeck friction, a signal period of the encoder, age of its samples.
 HARD_PERIOD, HARD_STRIBECK, HARD_VELOCITY = (0.6e-3, 2e-3), (0.05, 0.3), (1e-3, 1e-2)  # m; of Coulomb friction; m/s
+# Resonances beside the tool's: from so many times that one's, or Hz where there is none, to a part of the rate.
+HARD_ABOVE, HARD_FROM_HZ, HARD_TO = 1.5, 150.0, 0.45
+HARD_LOAD, HARD_DAMPING, HARD_THIRD = (0.02, 0.08), (0.005, 0.02), 0.5  # of the mass; ratio; share of axes with two
+# Maxwell-slip elements: share of axes, how many, longest over shortest, limits in proportion.
+HARD_SLIP, HARD_ELEMENTS, HARD_SPREAD, HARD_LIMIT = 0.5, 4, (5.0, 50.0), (0.5, 1.5)
 HARD_ERROR, HARD_LATENCY = 2.0, 5e-6  # encoder counts; s that no stamp tells
 NOMINAL_LAG, MODE_DAMPING, MODE_LOAD = 2e-4, 0.02, 0.3
 TOLD = ("torque_lag", "mode_frequency_hz", "mode_damping", "mode_load")  # axes.NAME.model: what the law knows
@@ -38,17 +44,22 @@ HEAD = (
     "lag 0.2 ms +-20 %, mode +-10 % (damping 0.02, 30 % load), each less where it was measured; cogging, cable, bias "
     "+-10 % of Coulomb friction, half-count noise. Not in it: "
 )
-LEFT_OUT = "membranes, force noise, floor vibration, drift, Maxwell-slip friction, a second mode on an axis"
+LEFT_OUT = "membranes, force noise, floor vibration, drift"
 FOOT = ". Errors are the tool's, against the setpoint at the sample's instant"
 
 
 def head(*, hard: bool) -> str:
     """What the stages are drawn from, and what is not in them."""
     if not hard:
-        return f"{HEAD}{LEFT_OUT}, Stribeck friction, encoder errors, latency the stamps do not know{FOOT}"
+        return (
+            f"{HEAD}{LEFT_OUT}, Stribeck friction, Maxwell-slip friction, a second resonance on an axis, encoder "
+            f"errors, latency the stamps do not know{FOOT}"
+        )
     more = (
         "friction varies over 0.6-2 mm instead, Stribeck friction 5-30 % within 1-10 mm/s, periodic error of 2 counts, "
-        "samples 5 us older than their stamps"
+        "samples 5 us older than their stamps, Maxwell-slip friction in place of LuGre on half of the axes, a second "
+        "resonance from 1.5 times the first (rigid: from 150 Hz) to 0.45 of the rate, on half of the axes a third "
+        "(each 2-8 % load, damping 0.005-0.02)"
     )
     return f"{HEAD}{LEFT_OUT}. Hard: {more}{FOOT}"
 
@@ -129,8 +140,41 @@ def _harder(plant: PlantConfig, rig: RigConfig, random: Random) -> PlantConfig:
         "stribeck_velocity": each(HARD_VELOCITY),
         "encoder_periodic_error": [HARD_ERROR * axis.encoder_resolution for axis in rig.axes.values()],
         "encoder_latency": HARD_LATENCY,
+        "modes": [mode for name in rig.axes for mode in _modes(plant, name, rig.rate_hz, random)],
+        "slip": [element for name in rig.axes for element in _elements(name, random)],
     }
     return plant.model_copy(update=more)
+
+
+def _modes(plant: PlantConfig, axis: str, rate_hz: float, random: Random) -> list[ModeConfig]:
+    """The axis' modes, and those that no model knows. No loop could damp what is above half the rate, and such a
+    resonance is folded below it; so they end at HARD_TO of the rate. Where the first leaves no room, there are none.
+    """
+    modes = [mode for mode in plant.modes if mode.axis == axis]
+    free = [mode.frequency_hz / (1.0 - mode.load) ** 0.5 for mode in modes]
+    low, high = max([HARD_FROM_HZ, *(HARD_ABOVE * hertz for hertz in free)]), HARD_TO * rate_hz
+    room = min(1.0, (MOST_LOAD - sum(mode.load for mode in modes)) / (2.0 * HARD_LOAD[1]))
+    drawn_modes = [
+        ModeConfig(
+            axis=axis,
+            frequency_hz=min(low + random.random() * (high - low), 5000.0),
+            damping=random.uniform(*HARD_DAMPING),
+            load=room * random.uniform(*HARD_LOAD),
+            tool=False,
+        )
+        for _ in range(2)
+    ]
+    count = 1 + (random.random() < HARD_THIRD)
+    return [*modes, *drawn_modes[: count * (low < high)]]
+
+
+def _elements(axis: str, random: Random) -> list[SlipConfig]:
+    """Springs whose lengths are spread evenly in their logarithm; none on the other axes."""
+    there, spread = random.random() < HARD_SLIP, between(HARD_SPREAD, random.random())
+    limits = [random.uniform(*HARD_LIMIT) for _ in range(HARD_ELEMENTS)]
+    lengths = [spread ** (i / (HARD_ELEMENTS - 1)) for i in range(HARD_ELEMENTS)]
+    found = [SlipConfig(axis=axis, stiffness=f / s, limit=f) for f, s in zip(limits, lengths, strict=True)]
+    return found if there else []
 
 
 def stage_of(rig: RigConfig, seed: int, number: int, mode_hz: float | None, *, hard: bool = False) -> Truth:

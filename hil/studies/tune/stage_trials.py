@@ -67,11 +67,9 @@ class StageTrials:
         model = self._model
         if model.mode_frequency_hz:
             return {"frequency_hz": model.mode_frequency_hz, "damping": model.mode_damping, "load": model.mode_load}
-        for axis in (self._name, None):
-            for mode in self._rig.plant.modes:
-                if mode.axis == axis:
-                    return mode.model_dump(exclude={"axis"})
-        return {}
+        own, every = ([mode for mode in self._rig.plant.modes if mode.axis == axis] for axis in (self._name, None))
+        tools = [mode.model_dump(exclude={"axis"}) for mode in own or every if mode.tool]
+        return tools[0] if tools else {}
 
     def good(self, part: float) -> float:
         """Encoder counts: what `part` of Coulomb friction costs where no model knows it."""
