@@ -16,9 +16,9 @@ Friction with presliding is the LuGre model (Canudas de Wit, Olsson, Astrom, Lis
     friction = s0 z + s1 z' + viscous q' + quadratic q' |q'|,   z' = q' - |q'| z / limit(q'),
     limit = presliding (1 + (stribeck / coulomb) / (1 + (q' / v_s)^2)),   s0 = coulomb / presliding
 
-or, on an axis that has elements, Maxwell-slip (Al-Bender, Lampaert, Swevers, IEEE TAC 50(11), 2005): springs side by
-side that follow the motor until each slips at its own length. z is then their mean deflection, weighted by stiffness,
-so that the force is s0 z as well, and they all slip where z = limit; s1 damps them as it damps the bristle.
+An axis that has elements has Maxwell-slip friction (Al-Bender, Lampaert, Swevers, IEEE TAC 50(11), 2005): springs side
+by side. Each follows the motor until it slips at its own length. z is then their mean deflection, weighted by
+stiffness. So the force is s0 z as well, and all slip where z = limit. s1 damps them as it damps the bristle.
 
 Between two reversals z depends on the distance alone: z = s limit + (z0 - s limit) exp(-|q - q0| / limit). It is worked
 out so at every stage of a Runge-Kutta step, which leaves nothing stiff: a step may be long against limit / |q'| once

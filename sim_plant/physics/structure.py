@@ -18,9 +18,9 @@ class Structure(NamedTuple):
     mass: kg, of all that moves. coulomb, stribeck: N. slowness: s/m, 1 / v_s. viscous: N s/m. quadratic: N s^2/m^2.
     presliding: m. bristle_damping: N s/m, s1. lag: s. load: kg, m2. mode_stiffness: N/m. mode_damping: N s/m.
     variation: fraction of the dry friction, a sinusoid of position. cable_stiffness: N/m. cable_hysteresis: N.
-    cable_reach: m. backlash: m. hung_...: of other masses on the motor, as load and mode_.... slip_...: of
-    the elements, their parts of the stiffness at rest, and where they slip, in lengths of presliding. line_...:
-    sinusoids of position, N. floor_...: of time, m/s^2. The membrane's: as in membrane.py.
+    cable_reach: m. backlash: m. hung_...: of other masses on the motor, as load and the mode's. slip_weight: parts of
+    the stiffness at rest. slip_reach: lengths at which elements slip, in lengths of presliding. line_...: sinusoids of
+    position, N. floor_...: of time, m/s^2. The membrane's: as in membrane.py.
     """
 
     mass: Number
@@ -62,8 +62,8 @@ class Structure(NamedTuple):
 
 class Motion(NamedTuple):
     """State of an axis: the motor's position and velocity, m and m/s; pierced: 1.0 or 0.0; the load's position and
-    velocity. bristle: z, m; cable: -1 to 1, of its hysteresis; force: N, f behind the lag; played: m, the load's
-    position behind the backlash; walked: N, of the bias; second_..., third_...: of the masses hung on the motor beside
+    velocity. bristle: z, m. cable: -1 to 1, of its hysteresis. force: N, f behind the lag. played: m, the load's
+    position behind the backlash. walked: N, of the bias. second_..., third_...: of the masses hung on the motor beside
     the load. A mass that there is not is where the motor is. slip0 to slip3: m, by which each element is bent.
     """
 

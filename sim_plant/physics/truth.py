@@ -39,8 +39,8 @@ class Truth:
     cell_stiffness: N/m^3 (0: no cell). cell_drag: N s/m.
 
     The others as in PlantConfig; mode_frequency in Hz (0: no mode): of the tool. other_modes: structured array of
-    OTHER_MODES, those beside the tool's: Hz, damping ratio, part of the mass. slip: structured array of SLIP, an axis'
-    Maxwell-slip elements: their parts of the stiffness at rest and of the dry friction. cogging and vibration:
+    OTHER_MODES, those beside the tool's: Hz, damping ratio, part of the mass. slip: structured array of SLIP, of an
+    axis' Maxwell-slip elements: parts of the stiffness at rest and of the dry friction. Cogging and vibration are
     structured arrays of SINUSOIDS: amplitude in N and m/s^2, wavenumber in turns per m and per s, phase in turns.
     """
 
