@@ -234,16 +234,20 @@ class Dynamics(Terms):
         bristle: tuple[Number, Number] = (at.bristle, before)
         turn: Number = 0.0
         speeds = accelerations = load_speeds = load_accelerations = 0.0
-        hung0 = hung = self.hung_at(at)
-        slips = self.slips_at(at)
+        hung0 = hung = self.hung_at(at) if self.hung else []
+        slips = self.slips_at(at) if self.n_slips else []
         sums: list[Pair] = [(0.0, 0.0)] * len(hung)
+        rates: list[Pair] = []
+        pulls: list[Number] = []
         for stage in range(4):
             along = begin if stage == 0 else end if stage == 3 else middle
-            pulls = self._pulls(q, v, hung)
+            if hung:
+                pulls = self._pulls(q, v, hung)
             a, b = self._accelerations(at.pierced, (q, v, y, u), bristle, sign, along, pulls)
             weight = 2.0 if stage == 1 or stage == 2 else 1.0
-            rates = self._hung_rates(hung, pulls, along[2])
-            sums = [(p + weight * w, r + weight * c) for (p, r), (w, c) in zip(sums, rates, strict=True)]
+            if hung:
+                rates = self._hung_rates(hung, pulls, along[2])
+                sums = [(p + weight * w, r + weight * c) for (p, r), (w, c) in zip(sums, rates, strict=True)]
             turn = a if stage == 0 else turn - a if stage == 3 else turn
             speeds = speeds + weight * v
             accelerations = accelerations + weight * a
@@ -255,16 +259,16 @@ class Dynamics(Terms):
             ahead = h if stage == 2 else 0.5 * h
             if self.has_mode:
                 y, u = y0 + ahead * u, u0 + ahead * b
-            hung = [(p + ahead * w, r + ahead * c) for (p, r), (w, c) in zip(hung0, rates, strict=True)]
+            if hung:
+                hung = [(p + ahead * w, r + ahead * c) for (p, r), (w, c) in zip(hung0, rates, strict=True)]
             q, v = q0 + ahead * v, v0 + ahead * a
-            if self.n_slips:
-                bristle = self._mean(self.slip(slips, v0, (q - q0, v), ahead)), self.limit_at(v)
-            elif self.has_bristle:
-                bristle = self.bend(start, (q - q0, v), ahead)
+            if self.has_bristle:
+                bristle = self._underway(start, slips, (q - q0, v), ahead)
         sixth = h * (1.0 / 6.0)
         q, v = q0 + sixth * speeds, v0 + sixth * accelerations
         y, u = (y0 + sixth * load_speeds, u0 + sixth * load_accelerations) if self.has_mode else (q, v)
-        hung = [(p + sixth * w, r + sixth * c) for (p, r), (w, c) in zip(hung0, sums, strict=True)]
+        if hung:
+            hung = [(p + sixth * w, r + sixth * c) for (p, r), (w, c) in zip(hung0, sums, strict=True)]
         z = at.bristle
         if self.n_slips:
             slips = self.slip(slips, v0, (q - q0, v), h)
@@ -272,6 +276,12 @@ class Dynamics(Terms):
         elif self.has_bristle:
             z = self._bent(start, (q - q0, v), turn, h)
         return self._arrived(at, (q, v, y, u, z), hung, slips, (forces[1], h))
+
+    def _underway(self, start: Triple, slips: list[Number], arrived: Pair, span: Number) -> Pair:
+        """`bend`, or where there are elements, their mean and its limit."""
+        if slips:
+            return self._mean(self.slip(slips, start[2], arrived, span)), self.limit_at(arrived[1])
+        return self.bend(start, arrived, span)
 
     def _pulls(self, q: Number, v: Number, hung: list[Pair]) -> list[Number]:
         """Of the springs of the masses hung beside the load, on the motor (N)."""
@@ -338,8 +348,11 @@ class Dynamics(Terms):
         cable = self._strained(at, moved) if self.has_cable else at.cable
         force = command + (at.force - command) * self._prepare_lag(h)[2] if self.has_lag else command
         played = self._play(at, y, u, h) if self.has_backlash else y
-        (p2, w2), (p3, w3) = [*hung, (q, v), (q, v)][:HUNG]
-        a, b, c, d = [*slips, *[at.slip0, at.slip1, at.slip2, at.slip3][len(slips) :]]
+        p2, w2, p3, w3, a, b, c, d = q, v, q, v, at.slip0, at.slip1, at.slip2, at.slip3
+        if hung:
+            (p2, w2), (p3, w3) = [*hung, (q, v)][:HUNG]
+        if slips:
+            a, b, c, d = [*slips, *[a, b, c, d][len(slips) :]]
         return Motion(q, v, at.pierced, y, u, bristle, cable, force, played, at.walked, p2, w2, p3, w3, a, b, c, d)
 
     def _play(self, at: Motion, y: Number, u: Number, h: Number) -> Number:

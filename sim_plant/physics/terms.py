@@ -151,7 +151,8 @@ class Terms:
         speed = abs(at.velocity)
         push: Number = 0.0
         pull = s.mode_stiffness * abs(at.load_position - at.position) + s.cable_stiffness * abs(at.position)
-        for (stiffness, _, _), (p, _) in zip(self.hung, self.hung_at(at), strict=True):
+        hung = self.hung_at(at) if self.hung else []
+        for (stiffness, _, _), (p, _) in zip(self.hung, hung, strict=True):
             pull = pull + stiffness * abs(p - at.position)
         if self.has_bristle:  # friction changes with the motion alone, though fast where it breaks loose
             push = abs(drive - self.stiffness * at.bristle)
@@ -166,7 +167,7 @@ class Terms:
         if self.has_mode:
             swing = abs(at.load_position - at.position) + self._ring_time * abs(at.load_velocity - at.velocity)
             work = greater(work, h * self._ring_rate * root(root(greater(swing * self._ring_scale, MODE_LEAST))))
-        for (rate, span, scale), (p, w) in zip(self._hung_rings, self.hung_at(at), strict=True):
+        for (rate, span, scale), (p, w) in zip(self._hung_rings, hung, strict=True):
             swing = abs(p - at.position) + span * abs(w - at.velocity)
             work = greater(work, h * rate * root(root(greater(swing * scale, MODE_LEAST))))
         if self.has_stribeck:
