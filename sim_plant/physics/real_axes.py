@@ -69,7 +69,8 @@ def structure_of(truth: Truth, clamp: Array) -> Structure:
     load = flat["mode_load"] * mass * (flat["mode_frequency"] > 0.0)
     ring = TURN * flat["mode_frequency"]
     others = flat["other_modes"]
-    hung_mass, hung_ring = others["load"].T * mass * (others["frequency"].T > 0.0), TURN * others["frequency"].T
+    hung_ring = TURN * others["frequency"].T
+    hung_mass = np.where(hung_ring > 0.0, others["load"].T * mass, 0.0)  # also of a mass that is not a number
     cogging, floor = flat["cogging"], flat["vibration"]
     weight, share = flat["slip"]["stiffness"].T * bristle, flat["slip"]["limit"].T * bristle
 
