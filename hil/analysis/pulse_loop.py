@@ -90,7 +90,8 @@ class PulseLoop:
         gains, _ = design_gains(rig)
         self._filter = MotionFilter(list(gains), model.mass)
         limit = np.array([axis.limits.force for axis in rig.axes.values()])
-        plain = rig.law.model_copy(update={"iterative_learning": False})
+        # What it has learnt is a force of its own, and no part of what it makes of an error.
+        plain = rig.law.model_copy(update={"iterative_learning": False, "learnt": "", "learnt_state": []})
         self._law = behind_estimator(make_law(plain, model, self.period, limit), rig, model, range(n))
         self._pulsed = np.arange(n) if self._law.coupled else np.zeros(n, dtype=int)  # the row, for each axis
         self._folded = (copies, int(self._pulsed.max()) + 2, n)

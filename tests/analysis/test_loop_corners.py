@@ -12,6 +12,7 @@ from hil.analysis.loop_corners import CornerFinding, CornerTrial, check_corners
 from hil.analysis.pulse_loop import PulseLoop, RigidPlant, loop_of, pulse_and_kick, responses, try_together
 from hil.analysis.restoring import Held, pushes_away
 from hil.analysis.stability import REALISED, check_stability, is_stable, realise_poles
+from hil.control.laws import make_law
 from hil.control.nominal_model import rig_model
 from hil.operate.check_loop import asked_note
 from hil.rig.file import load_rig
@@ -216,6 +217,16 @@ def test_a_rig_we_ship_has_the_margins_that_are_asked_for(rig: str) -> None:
     found = check_corners(load_rig(RIGS / f"{rig}.toml"))
     assert found
     assert [finding.lacks() for finding in found if finding.lacks()] == []
+
+
+@pytest.mark.long
+def test_what_the_law_has_learnt_changes_no_margin() -> None:
+    rig = load_rig(RIGS / "paper.toml", ["law.name=presliding-kalman", *GUIDES])
+    limit = np.array([axis.limits.force for axis in rig.axes.values()])
+    fresh = make_law(rig.law, rig_model(rig), PERIOD, limit).learnt_state()
+    state = (np.array(fresh).T + 0.1).tolist()
+    learnt = rig.model_copy(update={"law": rig.law.model_copy(update={"learnt_state": state})})
+    assert [one.as_json() for one in check_corners(learnt)] == [one.as_json() for one in check_corners(rig)]
 
 
 def test_the_margins_that_are_asked_for_are_said_with_their_reason() -> None:
