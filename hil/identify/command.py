@@ -88,12 +88,12 @@ def identify(
     if (out or agreed or keys) and not live:
         raise typer.BadParameter("of --live alone", param_hint="--out" if out else "--yes")
     console = plain_console(stderr=json_target == "-")
-    asked = _Asked(rig, config, named_axes(axes, config.axis_names), _experiments(only), console)
-    again = ["hil", *sys.argv[1:]]
+    handle = _handle(config, keys, agreed=agreed) if live else None
+    folder = out or run_directory() if live else Path()
+    again = shlex.join(["hil", *sys.argv[1:], *(["--out", str(folder)] if live and not out else [])])
+    asked = _Asked(rig, config, named_axes(axes, config.axis_names), _experiments(only), console, again)
     if live:
-        handle, folder = _handle(config, keys, agreed=agreed), out or run_directory()
         findings, evidence = _found_live(asked, folder, handle, agreed=agreed)
-        again += [] if out else ["--out", str(folder)]
     else:
         findings, evidence = _found(asked, recording)
     show(console, config, findings)
@@ -105,7 +105,7 @@ def identify(
     evidence = f"hil {version('hil')}, {evidence}"
     if responses:
         evidence += f"; frequency responses in {responses}"
-    _write(asked, findings, evidence, refused, _Writing(write, shlex.join(again), dry=dry))
+    _write(asked, findings, evidence, refused, _Writing(write, dry=dry))
     if any(one.ended for one in findings.values()):
         raise typer.Exit(EXIT_FAULT)
     if refused:
@@ -113,13 +113,14 @@ def identify(
 
 
 class _Asked(NamedTuple):
-    """What is identified, and where it is told. file: of the rig."""
+    """What is identified, and where it is told. file: of the rig; again: the command that was given."""
 
     file: Path
     config: RigConfig
     axes: list[str]
     experiments: list[str]
     console: Any
+    again: str
 
     def say(self, text: str) -> None:
         """A line."""
@@ -127,17 +128,20 @@ class _Asked(NamedTuple):
 
 
 class _Writing(NamedTuple):
-    """to: the new file; again: the command that was given; dry: only show."""
+    """to: the new file; dry: only show."""
 
     to: Path | None
-    again: str
     dry: bool
+
+
+def _all_refused(findings: dict[str, Findings]) -> list[str]:
+    return sorted({name for one in findings.values() for name in one.refused if name not in NOT_SEEN})
 
 
 def _refused(findings: dict[str, Findings], accept: str) -> list[str]:
     """What was refused, and nobody accepts. Raises typer.BadParameter."""
     accepted = {name.strip() for name in accept.split(",") if name.strip()}
-    refused = sorted({name for one in findings.values() for name in one.refused if name not in NOT_SEEN})
+    refused = _all_refused(findings)
     if unknown := accepted.difference(refused, NOT_SEEN):
         raise typer.BadParameter(
             f"{sorted(unknown)[0]} was not refused; refused: {', '.join(refused) or 'nothing'}", param_hint="--accept"
@@ -162,11 +166,11 @@ def _write(asked: _Asked, findings: dict[str, Findings], evidence: str, refused:
         )
     target = "" if into.to else " --write NEW.toml"
     if refused:
-        names = ",".join(refused)
-        asked.say(f"refused: {names}; nothing is written. To write the rest, and leave these as they are:")
-        asked.say(f"  {into.again}{target} --accept {names}")
+        names = ",".join(_all_refused(findings))
+        asked.say(f"refused: {', '.join(refused)}; nothing is written. To write the rest, and leave these as they are:")
+        asked.say(f"  {asked.again}{target} --accept {names}")
     elif into.dry or not into.to:
-        asked.say(f"next: {into.again.replace(' --dry-run', '')}{target}")
+        asked.say(f"next: {asked.again.replace(' --dry-run', '')}{target}")
     else:
         try:
             text, begins = with_first_state(text, into.to, findings, asked.config)
@@ -236,7 +240,7 @@ def _found_live(
             runner = LiveExperiments(folder, asked.console, Signals(), agrees, runtime, handle)
             found = run_experiments(asked.config, asked.file.parent, asked.axes, asked.say, asked.experiments, runner)
     except LiveError as error:
-        asked.say(f"hil: {error}\nto go on from there: --live --out {folder}")
+        asked.say(f"hil: {error}\nto go on from there: {asked.again}")
         raise typer.Exit(EXIT_UNAVAILABLE) from None
     return found, f"in real time, {folder}: {_traces(found)}"
 

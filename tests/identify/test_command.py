@@ -70,6 +70,8 @@ def test_nothing_is_written_where_something_is_refused_until_that_is_accepted(
     assert (status, again in text, Path("new.toml").exists()) == (EXIT_REFUSED, True, False)
     status, text = gave(monkeypatch, capsys, found, "--write", "new.toml", "--accept", "presliding")
     assert (status, Path("new.toml").exists()) == (EXIT_REFUSED, False), "one of two"
+    assert "refused: viscous; nothing is written" in text
+    assert text.rstrip().endswith("--accept presliding --accept presliding,viscous"), "the last one counts"
     assert gave(monkeypatch, capsys, found, *again.split()[5:])[0] == 0
     before, after = load_rig(Path("stage.toml")).axes["x"].model, load_rig(Path("new.toml")).axes["x"].model
     assert after == before.model_copy(update={"mass": 1.25}), "the others are left as they were"
