@@ -111,6 +111,24 @@ def test_a_lag_answers_a_step_exponentially() -> None:
     assert plant.rate[0, 0] == pytest.approx((10e-3 - lag * (1 - np.exp(-10e-3 / lag))) / mass, rel=1e-9)
 
 
+@pytest.mark.parametrize("part", [0.0, 0.3, 1.0, 1.7, -0.4])
+def test_positions_that_are_told_late_answer_late(part: float) -> None:
+    """By periods; against the same axis walked in tenths of one, under forces that are held for a whole one."""
+    axis, hertz, steps = AxisDynamics(0.9, 3e-4, 120.0, 0.2, 0.3, 40.0, 2e5, 60.0), 70.0, 10
+    a, b = axis.step_matrices(PERIOD / steps)
+    n, state, motor = 4000, np.zeros(5), []
+    force = np.exp(2j * np.pi * hertz * PERIOD * np.arange(n))
+    state = state.astype(complex)
+    for k in range(n):
+        for _ in range(steps):
+            motor.append(state[1])
+            state = a @ state + b * force[k]
+    at = n - 100
+    sampled = motor[round((at - part) * steps)] / force[at]
+    answer = axis.response(np.array([2.0 * np.pi * hertz]), PERIOD, part * PERIOD)[0]
+    assert answer == pytest.approx(sampled, rel=1e-6)
+
+
 def test_the_nominal_corner_is_the_plain_check() -> None:
     rig = rig_of("axes.x.model.viscous=0", "axes.y.model.viscous=0")
     plain = check_stability(rig).axes

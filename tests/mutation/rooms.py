@@ -135,7 +135,7 @@ ROOMS = {
         ("tests/studies/test_inject_batches.py", "tests/operate/test_check_sensor.py"),
     ),
     "admission": Room(
-        ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py"),
+        ("hil/rig", "drivers/config.py", "drivers/bus_load", "sim_plant/config.py", "sim_plant/axis_config.py"),
         ("tests/rig", "tests/drivers/base/test_toml_file.py", "tests/drivers/base/test_text_file.py",
          "tests/drivers/bus_load",
          "tests/operate/test_new.py", _PAGES, "tests/control/test_path_files.py", "tests/control/test_task_paths.py",
