@@ -150,7 +150,8 @@ def tune(
         words = [str(rig_file), "--law", name, *_options(choice), *(["--axes", ",".join(names)] if axes else [])]
         words += [word for text in overrides or () for word in ("--set", text)]
         write_gains(rig_file, name, gains, [shlex.join(["hil", "tune", *words]), way.achieved(rig, names, found)])
-        console.print(f"written to {rig_file}: [law.tuned.{name}]; next: hil check {rig_file}", markup=False)
+        told = f"written to {rig_file}: [law.tuned.{name}]; next: hil check {shlex.quote(str(rig_file))}"
+        console.print(told, markup=False, soft_wrap=True)
 
 
 def _choice(
