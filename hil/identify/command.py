@@ -108,7 +108,7 @@ def identify(
     _write(asked, findings, evidence, refused, _Writing(write, dry=dry))
     if any(one.ended for one in findings.values()):
         raise typer.Exit(EXIT_FAULT)
-    if refused:
+    if refused or (write and not any(model_values(one.found) for one in findings.values())):
         raise typer.Exit(EXIT_REFUSED)
 
 
@@ -152,7 +152,8 @@ def _refused(findings: dict[str, Findings], accept: str) -> list[str]:
 def _write(asked: _Asked, findings: dict[str, Findings], evidence: str, refused: list[str], into: _Writing) -> None:
     """The new rig file, or what it would change, and what to do next."""
     if not any(model_values(one.found) for one in findings.values()):
-        asked.say("nothing to write: no value of the model was found")
+        what = f"{into.to} is not written" if into.to else "nothing to write"
+        asked.say(f"{what}: no value of the model was found")
         return
     found = {name: one.found for name, one in findings.items()}
     checked = {name: one.validation for name, one in findings.items() if one.validation}

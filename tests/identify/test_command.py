@@ -92,6 +92,18 @@ def test_a_dry_run_shows_what_would_change_and_writes_nothing(
 
 @pytest.mark.replaces_methods
 @pytest.mark.usefixtures("rig")
+def test_a_file_that_was_asked_for_and_has_nothing_new_is_not_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rough = Findings(found={"push_coulomb": Estimate(1.2, 0.3, "N")})
+    assert gave(monkeypatch, capsys, rough)[0] == 0
+    status, text = gave(monkeypatch, capsys, rough, "--write", "new.toml")
+    assert (status, Path("new.toml").exists()) == (EXIT_REFUSED, False)
+    assert "new.toml is not written: no value of the model was found" in text
+
+
+@pytest.mark.replaces_methods
+@pytest.mark.usefixtures("rig")
 def test_an_experiment_that_ended_in_a_fault_is_told_before_all_else(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
