@@ -87,11 +87,12 @@ def identify(
         raise typer.BadParameter("nothing moves with --from", param_hint="--live")
     if (out or agreed or keys) and not live:
         raise typer.BadParameter("of --live alone", param_hint="--out" if out else "--yes")
+    names, experiments = named_axes(axes, config.axis_names), _experiments(only)
     console = plain_console(stderr=json_target == "-")
     handle = _handle(config, keys, agreed=agreed) if live else None
     folder = out or run_directory() if live else Path()
     again = shlex.join(["hil", *sys.argv[1:], *(["--out", str(folder)] if live and not out else [])])
-    asked = _Asked(rig, config, named_axes(axes, config.axis_names), _experiments(only), console, again)
+    asked = _Asked(rig, config, names, experiments, console, again)
     if live:
         findings, evidence = _found_live(asked, folder, handle, agreed=agreed)
     else:
@@ -101,7 +102,7 @@ def identify(
         write_json(as_document(config, findings, evidence), json_target)
     if picture or responses:
         _report(asked, findings, picture, responses)
-    refused = _refused(findings, accept)
+    refused = _refused(asked, findings, accept)
     evidence = f"hil {version('hil')}, {evidence}"
     if responses:
         evidence += f"; frequency responses in {responses}"
@@ -138,14 +139,12 @@ def _all_refused(findings: dict[str, Findings]) -> list[str]:
     return sorted({name for one in findings.values() for name in one.refused if name not in NOT_SEEN})
 
 
-def _refused(findings: dict[str, Findings], accept: str) -> list[str]:
-    """What was refused, and nobody accepts. Raises typer.BadParameter."""
+def _refused(asked: _Asked, findings: dict[str, Findings], accept: str) -> list[str]:
+    """What was refused, and nobody accepts."""
     accepted = {name.strip() for name in accept.split(",") if name.strip()}
     refused = _all_refused(findings)
-    if unknown := accepted.difference(refused, NOT_SEEN):
-        raise typer.BadParameter(
-            f"{sorted(unknown)[0]} was not refused; refused: {', '.join(refused) or 'nothing'}", param_hint="--accept"
-        )
+    for name in sorted(accepted.difference(refused, NOT_SEEN)):
+        asked.say(f"--accept {name}: it was not refused")
     return [name for name in refused if name not in accepted]
 
 
