@@ -92,7 +92,7 @@ def identify(
     handle = _handle(config, keys, agreed=agreed) if live else None
     folder = out or run_directory() if live else Path()
     again = shlex.join(["hil", *sys.argv[1:], *(["--out", str(folder)] if live and not out else [])])
-    asked = _Asked(rig, config, names, experiments, console, again)
+    asked = _Asked(rig, config, names, experiments, console, again, write, dry)
     if live:
         findings, evidence = _found_live(asked, folder, handle, agreed=agreed)
     else:
@@ -106,15 +106,17 @@ def identify(
     evidence = f"hil {version('hil')}, {evidence}"
     if responses:
         evidence += f"; frequency responses in {responses}"
-    _write(asked, findings, evidence, refused, _Writing(write, dry=dry))
+    told = _write(asked, findings, evidence, refused)
     if any(one.ended for one in findings.values()):
         raise typer.Exit(EXIT_FAULT)
-    if refused or (write and not any(model_values(one.found) for one in findings.values())):
+    if refused or (write and not told):
         raise typer.Exit(EXIT_REFUSED)
 
 
 class _Asked(NamedTuple):
-    """What is identified, and where it is told. file: of the rig; again: the command that was given."""
+    """What is identified, and where it is told. file: of the rig; again: the command that was given; to: the new file;
+    dry: only show what it would change.
+    """
 
     file: Path
     config: RigConfig
@@ -122,21 +124,16 @@ class _Asked(NamedTuple):
     experiments: list[str]
     console: Any
     again: str
+    to: Path | None
+    dry: bool
 
     def say(self, text: str) -> None:
         """A line."""
         self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-class _Writing(NamedTuple):
-    """to: the new file; dry: only show."""
-
-    to: Path | None
-    dry: bool
-
-
 def _all_refused(findings: dict[str, Findings]) -> list[str]:
-    return sorted({name for one in findings.values() for name in one.refused if name not in NOT_SEEN})
+    return sorted({name for one in findings.values() for name in one.missing})
 
 
 def _refused(asked: _Asked, findings: dict[str, Findings], accept: str) -> list[str]:
@@ -148,39 +145,40 @@ def _refused(asked: _Asked, findings: dict[str, Findings], accept: str) -> list[
     return [name for name in refused if name not in accepted]
 
 
-def _write(asked: _Asked, findings: dict[str, Findings], evidence: str, refused: list[str], into: _Writing) -> None:
-    """The new rig file, or what it would change, and what to do next."""
+def _write(asked: _Asked, findings: dict[str, Findings], evidence: str, refused: list[str]) -> bool:
+    """The new rig file, or what it would change, and what to do next. False: no value of the model was found."""
     if not any(model_values(one.found) for one in findings.values()):
-        what = f"{into.to} is not written" if into.to else "nothing to write"
+        what = f"{asked.to} is not written" if asked.to else "nothing to write"
         asked.say(f"{what}: no value of the model was found")
-        return
+        return False
     found = {name: one.found for name, one in findings.items()}
     checked = {name: one.validation for name, one in findings.items() if one.validation}
     text = rig_text(asked.file, found, datetime.date.today().isoformat(), evidence, checked)
-    if into.dry:
-        before, to = asked.file.read_text(encoding="utf-8"), str(into.to or "NEW.toml")
+    if asked.dry:
+        before, to = asked.file.read_text(encoding="utf-8"), str(asked.to or "NEW.toml")
         asked.say(
             "\n".join(
                 difflib.unified_diff(before.splitlines(), text.splitlines(), str(asked.file), to, lineterm="", n=1)
             )
         )
-    target = "" if into.to else " --write NEW.toml"
+    target = "" if asked.to else " --write NEW.toml"
     if refused:
         names = ",".join(_all_refused(findings))
         asked.say(f"refused: {', '.join(refused)}; nothing is written. To write the rest, and leave these as they are:")
         asked.say(f"  {asked.again}{target} --accept {names}")
-    elif into.dry or not into.to:
+    elif asked.dry or not asked.to:
         asked.say(f"next: {asked.again.replace(' --dry-run', '')}{target}")
     else:
         try:
-            text, begins = with_first_state(text, into.to, findings, asked.config)
-            into.to.write_text(text, encoding="utf-8")
+            text, begins = with_first_state(text, asked.to, findings, asked.config)
+            asked.to.write_text(text, encoding="utf-8")
         except OSError as error:
-            asked.say(f"hil: {into.to}: {error.strerror}")
+            asked.say(f"hil: {asked.to}: {error.strerror}")
             raise typer.Exit(EXIT_FILE) from None
         if begins:
             asked.say(begins)
-        asked.say(f"written to {into.to}; next: hil check {shlex.quote(str(into.to))}")
+        asked.say(f"written to {asked.to}; next: hil check {shlex.quote(str(asked.to))}")
+    return True
 
 
 def _report(asked: _Asked, findings: dict[str, Findings], picture: Path | None, folder: Path | None) -> None:

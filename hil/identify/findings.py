@@ -52,6 +52,11 @@ class Findings:
     validation: tuple[float, float] | None = None
     checked: Unexplained | None = None
 
+    @property
+    def missing(self) -> list[str]:
+        """Names of what was refused, except what an axis may have none of."""
+        return [name for name in self.refused if name not in NOT_SEEN]
+
 
 def fitted(experiment: str, run: Run, name: str, folder: Path, plan: Plan, findings: Findings, known: Known) -> Known:
     """Add what the experiment's run tells; what the next ones are to go by. folder: where the rig's files are."""

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from drivers.base.named_file import save_picture
 from hil.analysis.frequency_response import COLUMNS
 from hil.cli.pictures import STYLE, UNITS
-from hil.identify.findings import NOT_SEEN, Findings
+from hil.identify.findings import Findings
 
 PANELS = 6
 
@@ -87,8 +87,7 @@ def _loops(panel: Axes, one: Findings, kind: str) -> None:
 
 def _checked(panel: Axes, one: Findings, kind: str) -> None:
     """The motion that no fit used; above it, what was refused."""
-    refused = [name for name in one.refused if name not in NOT_SEEN]
-    panel.set_title(f"refused: {', '.join(refused)}" if refused else "", fontsize="small", color="C3")
+    panel.set_title(f"refused: {', '.join(one.missing)}" if one.missing else "", fontsize="small", color="C3")
     if one.checked is None:
         _not_measured(panel)
         return

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -92,6 +93,17 @@ class Short:
         simulate(Rig.build(self._scene.rig.model_dump(mode="json")), 0.05, record=self._scene.out / "run.mcap")
 
 
+def recorded(spoil: Callable[[Run], None]) -> Callable[[Path], Run]:
+    """Reads a recording as if this had happened to it."""
+
+    def read(folder: Path) -> Run:
+        run = load_run(folder)
+        spoil(run)
+        return run
+
+    return read
+
+
 @pytest.fixture
 def starts(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     monkeypatch.setattr(live, "Demo", Short)
@@ -104,12 +116,10 @@ def starts(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 def test_an_experiment_that_lost_too_many_ticks_is_tried_again_and_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, starts: list[Path]
 ) -> None:
-    def holed(folder: Path) -> Run:
-        run = load_run(folder)
+    def holed(run: Run) -> None:
         run.columns = {name: column[::2] for name, column in run.columns.items()}
-        return run
 
-    monkeypatch.setattr(live, "load_run", holed)
+    monkeypatch.setattr(live, "load_run", recorded(holed))
     with pytest.raises(LiveError, match=r"x, push: \d+ of \d+ ticks are missing; limit 0\.5 %"):
         experiments(tmp_path, [])(a_push("local", tmp_path))
     assert len(starts) == live.TRIES
@@ -121,13 +131,11 @@ def test_an_experiment_that_lost_too_many_ticks_is_tried_again_and_not_kept(
 def test_an_experiment_that_ended_in_a_fault_runs_again_at_the_next_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, starts: list[Path]
 ) -> None:
-    def faulty(folder: Path) -> Run:
-        run = load_run(folder)
+    def faulty(run: Run) -> None:
         run.columns["fault"] = np.full_like(run.columns["fault"], int(Fault.RECEIVE_FLOOD))
-        return run
 
     trial = a_push("local", tmp_path)
-    monkeypatch.setattr(live, "load_run", faulty)
+    monkeypatch.setattr(live, "load_run", recorded(faulty))
     assert experiments(tmp_path, [])(trial)[0].summary()["faults"] == ["RECEIVE_FLOOD"]
     assert [path.name for path in tmp_path.iterdir()] == ["x-push.part"]
     monkeypatch.setattr(live, "load_run", load_run)
