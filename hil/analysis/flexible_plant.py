@@ -1,7 +1,8 @@
-"""One axis as a linear plant with what real stages have: lag of the force, a flexible mode, the stiffness it hangs on.
+"""One axis as a linear plant with what real stages have: lag of the force, flexible modes, the stiffness it hangs on.
 
-States per axis: force behind its command, motor's error and rate, tool's error and rate. A force is held over each
-period, so the step from sample to sample is exact (matrix exponential).
+States per axis: force behind its command, motor's error and rate, tool's error and rate, then error and rate of each
+further mass on a spring. A force is held over each period, so the step from sample to sample is exact (matrix
+exponential).
 """
 
 from typing import NamedTuple
@@ -37,7 +38,8 @@ def exponential(matrix: Array) -> Array:
 class AxisDynamics(NamedTuple):
     """mass: kg, all that moves. lag: s. mode_hz: at which the tool rings while the motor is held, 0: rigid;
     mode_damping: ratio; mode_load: the tool's part of the mass. viscous: N s/m. stiffness, damping: of what holds the
-    motor where it is, N/m and N s/m.
+    motor where it is, N/m and N s/m. others: further masses that hang on the motor, (Hz on the held motor, damping
+    ratio, part of the mass) of each.
     """
 
     mass: float
@@ -48,12 +50,24 @@ class AxisDynamics(NamedTuple):
     viscous: float = 0.0
     stiffness: float = 0.0
     damping: float = 0.0
+    others: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def states(self) -> int:
+        """How many there are."""
+        return _STATES + 2 * len(self.others)
+
+    def with_others(self, count: int) -> "AxisDynamics":
+        """The same axis with places for so many further masses; those it does not have weigh nothing."""
+        return self._replace(others=self.others + ((0.0, 0.0, 0.0),) * (count - len(self.others)))
 
     def step_matrices(self, period: float) -> tuple[Array, Array]:
-        """x(k+1) = a x(k) + b u(k): a (5, 5), b (5,)."""
-        a, b = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
-        load = self.mode_load * self.mass if self.mode_hz else 0.0
-        motor = self.mass - load
+        """x(k+1) = a x(k) + b u(k): a (states, states), b (states,)."""
+        n = self.states
+        a, b = np.zeros((n, n)), np.zeros(n)
+        tool = (self.mode_hz, self.mode_damping, self.mode_load)
+        hung = [mode for mode in (tool, *self.others) if mode[0]]
+        motor = self.mass - sum([load * self.mass for _, _, load in hung])
         if self.lag:
             a[_FORCE, _FORCE], b[_FORCE] = -1.0 / self.lag, 1.0 / self.lag
             a[_RATE, _FORCE] = 1.0 / motor
@@ -62,18 +76,21 @@ class AxisDynamics(NamedTuple):
         a[_MOTOR, _RATE] = a[_TOOL, _TOOL_RATE] = 1.0
         a[_RATE, _MOTOR] = -self.stiffness / motor
         a[_RATE, _RATE] = -(self.viscous + self.damping) / motor
-        if load:
-            omega = 2.0 * np.pi * self.mode_hz
-            spring, damper = load * omega * omega, 2.0 * self.mode_damping * load * omega
-            for row, mass in ((_RATE, motor), (_TOOL_RATE, -load)):
+        for place, (hertz, ratio, part) in zip(range(_TOOL, n, 2), (tool, *self.others), strict=True):
+            a[place, place + 1] = 1.0
+            if not hertz:
+                continue
+            omega, load = 2.0 * np.pi * hertz, part * self.mass
+            spring, damper = load * omega * omega, 2.0 * ratio * load * omega
+            for row, mass in ((_RATE, motor), (place + 1, -load)):
                 a[row, _MOTOR] -= spring / mass
-                a[row, _TOOL] += spring / mass
+                a[row, place] += spring / mass
                 a[row, _RATE] -= damper / mass
-                a[row, _TOOL_RATE] += damper / mass
-        whole = np.zeros((_STATES + 1, _STATES + 1))
-        whole[:_STATES, :_STATES], whole[:_STATES, _STATES] = a, b
+                a[row, place + 1] += damper / mass
+        whole = np.zeros((n + 1, n + 1))
+        whole[:n, :n], whole[:n, n] = a, b
         step = exponential(whole * period)
-        return step[:_STATES, :_STATES], step[:_STATES, _STATES]
+        return step[:n, :n], step[:n, n]
 
     def response(self, omega: Array, period: float, delay: float = 0.0) -> NDArray[np.complex128]:
         """Motor position over force, m/N, at `omega` (rad/s, (k,)), sampled, with the hold: complex (k,).
@@ -83,8 +100,8 @@ class AxisDynamics(NamedTuple):
         """
         a, b = self.step_matrices(period)
         z = np.exp(1j * omega * period)
-        shifted = z[:, None, None] * np.eye(_STATES) - a
-        state = np.linalg.solve(shifted, np.broadcast_to(b[:, None], (z.size, _STATES, 1)))[..., 0]
+        shifted = z[:, None, None] * np.eye(b.size) - a
+        state = np.linalg.solve(shifted, np.broadcast_to(b[:, None], (z.size, b.size, 1)))[..., 0]
         ticks = np.ceil(delay / period)
         on, driven = self.step_matrices(ticks * period - delay)
         answer: NDArray[np.complex128] = (state @ on[_MOTOR] + driven[_MOTOR]) * z**-ticks
@@ -95,9 +112,11 @@ class FlexiblePlant:
     """A hil.analysis.pulse_loop.Plant of one AxisDynamics per row and axis."""
 
     def __init__(self, rows: list[list[AxisDynamics]], period: float) -> None:
-        made = {axis: axis.step_matrices(period) for row in rows for axis in row}
-        self._a = np.array([[made[axis][0] for axis in row] for row in rows])
-        self._b = np.array([[made[axis][1] for axis in row] for row in rows])
+        most = max([len(axis.others) for row in rows for axis in row])
+        alike = [[axis.with_others(most) for axis in row] for row in rows]
+        made = {axis: axis.step_matrices(period) for row in alike for axis in row}
+        self._a = np.array([[made[axis][0] for axis in row] for row in alike])
+        self._b = np.array([[made[axis][1] for axis in row] for row in alike])
         self._state = np.zeros(self._b.shape)
 
     @property
@@ -117,7 +136,7 @@ class FlexiblePlant:
         self._state = (self._a @ self._state[..., None])[..., 0] + self._b * force[..., None]
 
     def place(self, error: Array, rate: Array) -> None:
-        """Begin there, motor and tool alike, without force."""
+        """Begin there, all masses alike, without force."""
         self._state[:] = 0.0
-        self._state[..., _MOTOR] = self._state[..., _TOOL] = error
-        self._state[..., _RATE] = self._state[..., _TOOL_RATE] = rate
+        self._state[..., _MOTOR::2] = error[..., None]
+        self._state[..., _RATE::2] = rate[..., None]

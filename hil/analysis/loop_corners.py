@@ -57,6 +57,7 @@ class Corner(NamedTuple):
             0.0 if self.stuck is not None else self.friction * model.viscous,
             stiffness,
             damping,
+            tuple((self.mode * hertz, ratio, load) for hertz, ratio, load in model.other_modes),
         )
 
     def within(self, off: Tolerances) -> "Corner":

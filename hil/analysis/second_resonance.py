@@ -103,10 +103,11 @@ def _response(
     total = np.zeros(frequency.shape, complex)
     for image in _FOLDED:
         s = np.asarray(2j * np.pi * (frequency + image / period), np.complex128)
-        motor = axis.mass * (1.0 - load - (axis.mode_load if axis.mode_hz else 0.0))
+        known = [mode for mode in ((axis.mode_hz, axis.mode_damping, axis.mode_load), *axis.others) if mode[0]]
+        motor = axis.mass * (1.0 - load - sum([part for _, _, part in known]))
         stiff = motor * s * s + (axis.viscous + axis.damping) * s + axis.stiffness
-        if axis.mode_hz:
-            stiff = stiff + axis.mass * axis.mode_load * _hung(s, axis.mode_hz, axis.mode_damping)
+        for hertz, damping, part in known:
+            stiff = stiff + axis.mass * part * _hung(s, hertz, damping)
         if load:
             stiff = stiff + axis.mass * load * _hung(s, resonance, DAMPING)
         total += 1.0 / (stiff * (1.0 + axis.lag * s) * s)

@@ -17,6 +17,7 @@ from hil.rig.home_table import HomeConfig
 from hil.rig.measured_table import MeasuredConfig, Tolerances, tolerances
 from hil.rig.motion_tables import AxisMotionConfig as AxisMotionConfig
 from hil.rig.motion_tables import MotionConfig as MotionConfig
+from sim_plant.axis_config import MOST_LOAD
 from sim_plant.config import NonNegative, Positive, Resolution
 
 MAX_AXES: Final = 4
@@ -32,6 +33,7 @@ def _status_bit(name: str) -> str:
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 StatusBit = Annotated[str, AfterValidator(_status_bit), Field(json_schema_extra={"enum": list(STATUS_NAMES)})]
+Mode = Annotated[list[float], Field(min_length=3, max_length=3)]
 Ticks = Annotated[int, Field(ge=1, le=10_000)]
 
 
@@ -75,6 +77,13 @@ class ModelConfig(Table):
     )
     mode_damping: float = key(0.02, "damping ratio of that mode", "1", ge=0, le=1)
     mode_load: float = key(0.3, "fraction of the moving mass that is the tool's", "1", ge=0.001, le=0.95)
+    other_modes: list[Mode] = key(
+        [],
+        "up to two resonances beside it, `[frequency, damping, load]` of each: Hz with the motor held, damping ratio, "
+        "fraction of the moving mass",
+        "Hz, 1, 1",
+        max_length=2,
+    )
     presliding: list[Positive] = key(
         [],
         "least and greatest Coulomb friction over its stiffness at rest, over which `hil check` tries the loop; an "
@@ -82,6 +91,19 @@ class ModelConfig(Table):
         "m (rad)",
         max_length=2,
     )
+
+    @model_validator(mode="after")
+    def _modes(self) -> "ModelConfig":
+        for hertz, damping, load in self.other_modes:
+            if not (1.0 <= hertz <= 5000.0 and 0.0 <= damping <= 1.0 and 0.001 <= load <= MOST_LOAD):
+                raise ValueError(
+                    f"other_modes has [{hertz:g}, {damping:g}, {load:g}]: allowed: 1 to 5000 Hz, a damping ratio of 0 "
+                    f"to 1, 0.001 to {MOST_LOAD:g} of the mass"
+                )
+        whole = sum([load for *_, load in self.other_modes]) + (self.mode_load if self.mode_frequency_hz else 0.0)
+        if whole > MOST_LOAD:
+            raise ValueError(f"other_modes and mode_load carry {whole:g} of the mass together: at most {MOST_LOAD:g}")
+        return self
 
     @model_validator(mode="after")
     def _a_range(self) -> "ModelConfig":

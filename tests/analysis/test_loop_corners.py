@@ -365,3 +365,33 @@ def test_trials_of_one_loop_do_not_see_each_other() -> None:
     np.testing.assert_array_equal(alone.motion, beside.motion)
     assert alone.findings() == beside.findings()
     assert held.verdict(rig).tolist() == pushes_away(rig).tolist()
+
+
+def test_a_further_mass_rings_where_the_textbook_says() -> None:
+    """On a rigid axis it is the tool by another name; beside a tool the poles are those of three masses and springs."""
+    tool = AxisDynamics(0.5, 2e-4, 150.0, 0.01, 0.3)
+    other = AxisDynamics(0.5, 2e-4, others=((150.0, 0.01, 0.3),))
+    omega = 2.0 * np.pi * np.geomspace(5.0, 490.0, 60)
+    np.testing.assert_allclose(other.response(omega, PERIOD), tool.response(omega, PERIOD), rtol=1e-8)
+    both = AxisDynamics(0.5, mode_hz=120.0, mode_load=0.3, others=((280.0, 0.0, 0.06), (400.0, 0.0, 0.03)))
+    parts, hertz = np.array([0.61, 0.3, 0.06, 0.03]), np.array([120.0, 280.0, 400.0])
+    springs = parts[1:] * (2.0 * np.pi * hertz) ** 2
+    stiff = np.diag([springs.sum(), *springs])
+    stiff[0, 1:] = stiff[1:, 0] = -springs
+    expected = np.sqrt(np.linalg.eigvals(stiff / parts[:, None]).real.clip(min=0.0)) / (2.0 * np.pi)
+    found = np.abs(np.angle(np.linalg.eigvals(both.step_matrices(PERIOD)[0]))) / (2.0 * np.pi * PERIOD)
+    for one in expected[expected > 1.0]:
+        assert np.abs(found - one).min() < 1e-6 * one
+
+
+def test_axes_with_and_without_a_further_mass_step_beside_each_other() -> None:
+    """Places that weigh nothing change nothing."""
+    with_one, without = AxisDynamics(0.5, others=((280.0, 0.01, 0.06),)), AxisDynamics(0.5, 2e-4, 120.0, 0.02, 0.3)
+    both, alone = FlexiblePlant([[with_one, without]], PERIOD), FlexiblePlant([[without]], PERIOD)
+    both.place(np.array([[1e-6, 1e-6]]), np.zeros((1, 2)))
+    alone.place(np.array([[1e-6]]), np.zeros((1, 1)))
+    for tick in range(200):
+        force = np.array([[1.0, 1.0]]) * (tick < 3)
+        both.advance(force)
+        alone.advance(force[:, 1:])
+        np.testing.assert_allclose(both.error[0, 1], alone.error[0, 0], rtol=1e-12)

@@ -42,6 +42,11 @@ PAIRS = {
         'bus.dbc.vesc.values=[{value="timeout_msec",least=0,most=10}]',
         "timeout_msec may be 0 to 10; the rig relies on drives.watchdog_s = 0.01, so it has to be above 0",
     ),
+    "masses on springs": (
+        "microscope", ["axes.x.model.mode_load=0.3", "axes.x.model.mode_frequency_hz=120"],
+        "axes.x.model.other_modes=[[280.0, 0.01, 0.65]]", "axes.x.model.other_modes=[[280.0, 0.01, 0.66]]",
+        "other_modes and mode_load carry 0.96 of the mass together: at most 0.95",
+    ),
     "half a turn between two positions": (
         "vesc", [], "axes.x.limits.speed=2.4999", "axes.x.limits.speed=2.501",
         "bus.dbc.position: at axes.x.limits.speed the axis goes 0.005002 in the 0.002 s between two positions; it must "
