@@ -60,3 +60,12 @@ def modes_fit(modes: Sequence[ModeConfig]) -> None:
         load = sum(mode.load for mode in own)
         if load > MOST_LOAD + 1e-9:
             raise ValueError(f"modes: load of axis {name} is {load:.6g} together; allowed: at most {MOST_LOAD}")
+
+
+def slip_fits(elements: Sequence[SlipConfig], presliding: Sequence[float], names: Sequence[str]) -> None:
+    """Raises ValueError where an axis of `names` (any number: none has a name) has elements and no presliding."""
+    named = {element.axis for element in elements}
+    for number, length in enumerate(presliding):
+        name = names[number] if names else number
+        if not length and (name in named or None in named):
+            raise ValueError(f"plant.slip: axis {name} has plant.presliding = 0; expected above 0 for its elements")

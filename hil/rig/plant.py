@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.rig.tables import AxisConfig
+from sim_plant.axis_config import slip_fits
 from sim_plant.config import PlantConfig
 from sim_plant.stages import staged
 
@@ -11,7 +12,8 @@ MODEL_KEYS = ("mass", "coulomb", "viscous", "quadratic", "gravity")  # of [axes.
 
 
 def completed(plant: PlantConfig, axes: Mapping[str, AxisConfig]) -> PlantConfig:
-    """The plant with every key that it does not state taken from the axes, or from its kind of stage.
+    """The plant with every key that it does not state taken from the axes, or from its kind of stage. Raises ValueError
+    where [[plant.slip]] has no presliding.
 
     `model_fields_set` still tells what was stated, or has come from the kind of stage.
     """
@@ -19,4 +21,7 @@ def completed(plant: PlantConfig, axes: Mapping[str, AxisConfig]) -> PlantConfig
     derived["encoder_resolution"] = [axis.encoder_resolution for axis in axes.values()]
     stated = plant.model_fields_set
     values = {name: derived[name] if name in derived and name not in stated else value for name, value in plant}
-    return staged(PlantConfig.model_construct(_fields_set=set(stated), **values))
+    whole = staged(PlantConfig.model_construct(_fields_set=set(stated), **values))
+    lengths = whole.presliding if isinstance(whole.presliding, list) else [whole.presliding] * len(axes)
+    slip_fits(whole.slip, lengths, list(axes))
+    return whole

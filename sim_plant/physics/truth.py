@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_plant.axis_config import MOST_LOAD, ModeConfig, SlipConfig
+from sim_plant.axis_config import MOST_LOAD, ModeConfig, SlipConfig, slip_fits
 from sim_plant.config import PlantConfig
 from sim_plant.physics.exact_trigonometry import TURN
 from sim_plant.physics.structure import HUNG, LINES, SLIPS
@@ -162,7 +162,7 @@ class _Entries:
         self._names = list(axis_names)
 
     def take(self, plant: PlantConfig) -> None:
-        """All of them. Raises ValueError for an axis there is not, or too many entries."""
+        """All of them. Raises ValueError for an axis there is not, too many entries, or slip without presliding."""
         for cell in plant.cells:
             for axis in self._axes("cells", cell.axis):
                 for key in ("surface", "direction", "stiffness", "drag"):
@@ -170,6 +170,7 @@ class _Entries:
                 self._arrays["puncture_depth"][axis] = cell.puncture_depth
         for axis, modes in self._own("modes", plant.modes):
             self._hang(axis, modes)
+        slip_fits(plant.slip, self._arrays["presliding"].tolist(), self._names)
         for axis, elements in self._own("slip", plant.slip):
             self._slip(axis, elements)
         for cogging in plant.cogging:
@@ -187,10 +188,7 @@ class _Entries:
         return [(axis, found or every) for axis, found in enumerate(own)]
 
     def _slip(self, axis: int, elements: Sequence[SlipConfig]) -> None:
-        """Their parts of all there is. Raises ValueError where the axis has no presliding."""
-        if elements and not self._arrays["presliding"][axis]:
-            name = self._names[axis] if self._names else axis
-            raise ValueError(f"plant.slip: axis {name} has plant.presliding = 0; expected above 0 for its elements")
+        """Their parts of all there is."""
         for key in ("stiffness", "limit"):
             values = [getattr(element, key) for element in elements]
             self._arrays["slip"][key][axis, : len(values)] = np.divide(values, sum(values))

@@ -128,6 +128,7 @@ def test_an_override_of_one_axis_encoder_beside_it_leaves_the_axes_to_what_they_
         ),
         ("axes.x.model.other_modes=[[0.5, 0.01, 0.05]]", "other_modes has [0.5, 0.01, 0.05]: allowed: 1 to 5000 Hz"),
         ("axes.x.model.other_modes=[[280.0, 0.01]]", "other_modes"),
+        ('plant.slip=[{axis="y"}]', "plant.slip: axis y has plant.presliding = 0"),
         ("rate_hz=100", "drives.watchdog_s = 0.01: it must be longer than the 0.01 s from one command to the next"),
     ],
 )
