@@ -26,12 +26,12 @@ PLACES, APPROACH = (-1.0, 0.2, 1.0), 0.2  # of the axis' way
 ARRIVED_S, WINDOW_S, HOLD_S = 0.34, 0.02, 1.0
 
 
-def reversal(mover: VirtualMover, axis: str, way: float, rounds: int) -> list[float]:
+def reversal(mover: VirtualMover, axis: str, way: float, rounds: int, speed: float) -> list[float]:
     """Of one stage: the reversal error of each round, and the RMS of the hold about its mean, m (rad)."""
     number, found = mover.axes.index(axis), []
 
     def to(place: float) -> None:
-        mover.move_to(**{axis: place})
+        mover.move_to(speed=speed, **{axis: place})
         mover.await_rest(lambda look: look.motion is MotionWord.HOLD)
 
     def seen(seconds: float) -> list[float]:
@@ -75,6 +75,7 @@ def main() -> None:
     parser.add_argument("--stages", type=int, default=20, help="of each seed")
     parser.add_argument("--mode", type=float, default=0.0, help="Hz; 0: rigid")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--speed", type=float, default=1.0, help="of what goals may have")
     parser.add_argument("--identify", action="store_true", help="identify each stage first; some seconds a stage")
     words = parser.parse_args()
     found = []
@@ -83,7 +84,7 @@ def main() -> None:
             drawn = drawn_rig(seed, number, words.mode)
             rig = identified_rig(words.axis, seed, number, words.mode) if words.identify else drawn
             with VirtualMover(rig) as mover:
-                found.append(reversal(mover, words.axis, abs(WAYS[words.axis]), words.rounds))
+                found.append(reversal(mover, words.axis, abs(WAYS[words.axis]), words.rounds, words.speed))
             print(f"seed {seed}, stage {number}: {' '.join(f'{1e9 * each:.1f}' for each in found[-1])}", flush=True)
     names = [*(f"reversal, round {number + 1}" for number in range(words.rounds)), "hold, RMS"]
     for name, values in zip(names, 1e9 * np.array(found).T, strict=True):
