@@ -14,7 +14,7 @@ from hil.control.estimator import behind_estimator
 from hil.control.estimator.gains import design_gains
 from hil.control.estimator.motion_filter import MotionFilter
 from hil.control.laws import make_law
-from hil.control.laws.base import Array, LawInputs, Model, Reference
+from hil.control.laws.base import Array, LawInputs, Model, Reference, axis_model
 from hil.control.nominal_model import blank_inputs, rig_model
 from hil.rig.schema import RigConfig
 
@@ -64,17 +64,22 @@ class RigidPlant:
 
 
 def nominal_plant(model: Model, period: float, shape: tuple[int, ...], gain: float | Array = 1.0) -> Plant:
-    """The axes as the model says, without friction; lag and mode of those that have a mode. A law that lives on its
+    """The axes as the model says, without friction; lag and modes of those that have a mode. A law that lives on its
     mode is unstable on a rigid axis. gain: nominal mass over the true one, for all axes or each (n_axes,).
     """
-    mass, modes = model.mass / gain, zip(model.mode_frequency, model.mode_damping, model.mode_load, strict=True)
-    if not np.any(model.mode_frequency):
+    mass = model.mass / gain
+    axes = [_nominal_axis(axis_model(model, i), own) for i, own in enumerate(mass.tolist())]
+    if not any(axis.mode_hz or axis.others for axis in axes):
         return RigidPlant(mass, period, shape)
-    axes = [
-        AxisDynamics(own, lag, *mode) if mode[0] else AxisDynamics(own)
-        for own, lag, mode in zip(mass, model.torque_lag, modes, strict=True)
-    ]
     return FlexiblePlant([axes] * shape[0], period)
+
+
+def _nominal_axis(model: Model, mass: float) -> AxisDynamics:
+    first = model.mode_frequency, model.mode_damping, model.mode_load
+    second = model.second_frequency, model.second_damping, model.second_load
+    third = model.third_frequency, model.third_damping, model.third_load
+    others = tuple([mode for mode in (second, third) if mode[0]])
+    return AxisDynamics(mass, model.torque_lag, *first, others=others) if first[0] or others else AxisDynamics(mass)
 
 
 class PulseLoop:

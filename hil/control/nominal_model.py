@@ -14,6 +14,8 @@ def rig_model(rig: RigConfig) -> Model:
     """
     axes = [axis.model for axis in rig.axes.values()]
     known = [axis.tolerances.known for axis in rig.axes.values()]
+    none = [0.0, 0.0, 0.0]
+    second, third = np.array([[*a.other_modes, none, none][:2] for a in axes]).transpose(1, 2, 0)
     return Model(
         mass=np.array([a.mass for a in axes]),
         coulomb=np.array([a.coulomb for a in axes]),
@@ -27,6 +29,12 @@ def rig_model(rig: RigConfig) -> Model:
         presliding_least=np.array([min(a.presliding, default=0.0) for a in axes]),
         presliding_greatest=np.array([max(a.presliding, default=0.0) for a in axes]),
         known=np.array(known),
+        second_frequency=second[0],
+        second_damping=second[1],
+        second_load=second[2],
+        third_frequency=third[0],
+        third_damping=third[1],
+        third_load=third[2],
     )
 
 

@@ -35,6 +35,7 @@ class Model:
     on its spring while the motor is held, 0: a rigid axis; mode_damping: its damping ratio; mode_load: its part of the
     mass. presliding_least, presliding_greatest: m (rad), Coulomb friction over its stiffness at rest; 0: not stated.
     known: how well mass, mode and lag are measured, 0 (not at all) to 1 (within hil.rig.measured_table.KNOWN).
+    second_..., third_...: of two further masses on springs, as the tool's; a frequency of 0: none.
     """
 
     mass: Number
@@ -49,6 +50,12 @@ class Model:
     presliding_least: Number = 0.0
     presliding_greatest: Number = 0.0
     known: Number = 0.0
+    second_frequency: Number = 0.0
+    second_damping: Number = 0.0
+    second_load: Number = 0.0
+    third_frequency: Number = 0.0
+    third_damping: Number = 0.0
+    third_load: Number = 0.0
 
 
 def axis_model(whole: Any, index: int) -> Model:
@@ -60,6 +67,8 @@ def axis_model(whole: Any, index: int) -> Model:
         whole.mass, whole.coulomb, whole.viscous, whole.quadratic, whole.gravity,
         whole.torque_lag, whole.mode_frequency, whole.mode_damping, whole.mode_load,
         whole.presliding_least, whole.presliding_greatest, whole.known,
+        whole.second_frequency, whole.second_damping, whole.second_load,
+        whole.third_frequency, whole.third_damping, whole.third_load,
     )  # fmt: skip
     return Model(*(value if isinstance(value, float) else float(value[index]) for value in values))
 

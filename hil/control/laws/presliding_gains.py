@@ -11,7 +11,8 @@ same up to twice these shares. The friction weights learn sooner, too, and take 
 less noise: how it swings is known.
 """
 
-from hil.control.number import Number, at_least, at_most, select, zeros_like
+from hil.control.laws.base import Model
+from hil.control.number import Number, at_least, at_most, full_like, root, select, zeros_like
 
 # Swings of the free axis' mode in a period; straight lines between, and what the outermost have beyond.
 SWINGS = (0.15, 0.175, 0.2, 0.3)
@@ -50,20 +51,26 @@ OF_KNOWN: dict[str, tuple[float, ...]] = {
 OF_PRESLIDING: dict[str, float] = {"integral": 0.06}
 
 
+def swings_of(model: Model, period: float) -> Number:
+    """Of the free axis' first mode in a period (s); 0: it has none."""
+    shape = model.mass
+    return full_like(shape, model.mode_frequency) * root(1.0 / (1.0 - full_like(shape, model.mode_load))) * period
+
+
 def of_model(name: str, swings: Number, presliding: Number, known: Number) -> Number:
     """That gain for a mode of so many swings in a period, the presliding that the model states (0: none), and how well
     it is known: 0 to 1.
     """
     rigid, flexible = OF_MODE[name]
     zero = zeros_like(swings)
-    usual = _between(flexible, swings)
-    value = usual + known * (_between(OF_KNOWN.get(name, flexible), swings) - usual)
+    usual = between(flexible, swings)
+    value = usual + known * (between(OF_KNOWN.get(name, flexible), swings) - usual)
     guided = select(presliding > 0.0, zero + OF_PRESLIDING.get(name, rigid), zero + rigid)
     return select(swings > 0.0, value, guided)
 
 
-def _between(column: tuple[float, ...], swings: Number) -> Number:
-    """On the straight lines between its values at SWINGS."""
+def between(column: tuple[float, ...], swings: Number) -> Number:
+    """On the straight lines between a column's values at SWINGS."""
     value = zeros_like(swings) + column[0]
     for place in range(1, len(column)):
         begin, end = SWINGS[place - 1], SWINGS[place]

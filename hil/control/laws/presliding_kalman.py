@@ -39,12 +39,13 @@ from hil.control.gain import TINIEST, Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.breakaway import anywhere
 from hil.control.laws.friction_weights import WEIGHTS, FrictionWeights
-from hil.control.laws.motion_observer import ORDER, Channel, Gains, MotionModel, MotionObserver
+from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver, as_designed
+from hil.control.laws.other_modes import noises, slowed
 from hil.control.laws.position_table import NODES, PositionTable
 from hil.control.laws.presliding_bank import RATIO, Bank, averaged, moved, slopes, weighed
-from hil.control.laws.presliding_gains import OF_MODE, of_model
+from hil.control.laws.presliding_gains import OF_MODE, of_model, swings_of
 from hil.control.laws.repeat_memory import RepeatMemory
-from hil.control.number import Number, at_least, at_most, bounded, copy, full_like, root, select, zeros_like
+from hil.control.number import Number, at_least, at_most, bounded, copy, full_like, select, zeros_like
 
 TAKEN_OVER, SEEN, STARTED = 1, 2, 3  # ticks: the drive takes over; what that did is seen
 REST_PERIODS = 20.0  # until an axis counts as at rest
@@ -124,14 +125,14 @@ class PreslidingKalman(Law):
 
         self._model, self._period, self._limit = model, period, full_like(shape, force_limit)
         if designed:
-            rows = [designed[at : at + ORDER] for at in range(0, ORDER * ORDER, ORDER)]
-            self._motion = motion = MotionModel(model, period, gain("mode_share"), rows)
-            self._moving, self._resting = Gains(*designed[-10:-5]), Gains(*designed[-5:])
+            self._motion, self._moving, self._resting = as_designed(model, period, gain("mode_share"), designed)
         else:
             self._motion = motion = MotionModel(model, period, gain("mode_share"))
-            mode_noise = gain("mode_noise")
-            self._moving = motion.gains(gain("force_noise"), gain("disturbance_noise"), mode_noise)
-            self._resting = motion.gains(gain("rest_force_noise"), gain("rest_disturbance_noise"), mode_noise)
+            mode, others = gain("mode_noise"), noises(model, period)
+            self._moving = motion.gains(gain("force_noise"), gain("disturbance_noise"), mode, others)
+            less = own["rest_force_noise"] / own["force_noise"]
+            others = [noise * less for noise in others]
+            self._resting = motion.gains(gain("rest_force_noise"), gain("rest_disturbance_noise"), mode, others)
         omega, rest_omega = gain("bandwidth") * (1.0 / period), gain("rest_bandwidth") * (1.0 / period)
         soft_omega = gain("soft_bandwidth") * (1.0 / period)
         self.stiffness = shape * (omega * omega)
@@ -148,7 +149,7 @@ class PreslidingKalman(Law):
         # Friction of the model, or what is not nothing against the force limit.
         self._dry = dry = at_least(full_like(shape, model.coulomb), 1e-3 * force_limit)
         self._weights = FrictionWeights(
-            shape, motion, self._slopes, gain("play"), gain("innovation_noise") * dry,
+            shape, self._motion, self._slopes, gain("play"), gain("innovation_noise") * dry,
             (gain("friction_prior") * dry, gain("mass_prior") * shape),
             (gain("friction_walk") * dry, gain("mass_walk") * shape), shaken=gain("shaken"),
         )  # fmt: skip
@@ -162,10 +163,9 @@ class PreslidingKalman(Law):
     @classmethod
     def own_gains(cls, model: Model, period: float) -> dict[str, Number]:
         """See Law."""
-        shape = model.mass
-        swings = full_like(shape, model.mode_frequency) * root(1.0 / (1.0 - full_like(shape, model.mode_load))) * period
+        shape, swings = model.mass, swings_of(model, period)
         guided, known = full_like(shape, model.presliding_greatest), full_like(shape, model.known)
-        return {name: of_model(name, swings, guided, known) for name in OF_MODE}
+        return slowed({name: of_model(name, swings, guided, known) for name in OF_MODE}, model, period)
 
     def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
         """See Law."""
@@ -268,7 +268,7 @@ class PreslidingKalman(Law):
         if memory is not None:
             observer.d = observer.d - memory.steps[0]
         observer.advance(before - self._known_before, (q - self._position) - half * (v + self._velocity))
-        error = observer.e + observer.x  # as predicted
+        error = observer.seen()  # as predicted
         innovation = (inputs.position - q - error) * inputs.fresh
         moves = (v != 0.0) | (q != self._position)
         self._position, self._velocity = copy(q), copy(v)
@@ -281,7 +281,7 @@ class PreslidingKalman(Law):
             d = d - memory.steps[1]  # as it is after the sample
             self._repeat(memory, inputs)
         learn = select(moves, inputs.fresh, zeros_like(inputs.fresh)) * self._open
-        self._weights.learn(q + (observer.e + observer.x), innovation, learn, self._gains)
+        self._weights.learn(q + observer.seen(), innovation, learn, self._gains)
         if tick == TAKEN_OVER:
             observer.f = copy(self._short)
             self._weights.throw(self._short)
@@ -314,7 +314,7 @@ class PreslidingKalman(Law):
         rests = (v0 == 0.0) & (v1 == 0.0)
         weights = self._weights.friction()
         self._schedule(rests, weights)
-        error = observer.e + observer.x
+        error = observer.seen()
         none = zeros_like(error)
         crept = self._creep + self._ramp * select(abs(error) < self._creeping, error, none)
         self._creep = creep = select(self._rest < 1.0, none, crept)
