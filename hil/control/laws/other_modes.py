@@ -132,18 +132,21 @@ def noises(model: Model, period: float) -> list[Number]:
 
 def slowed(own: dict[str, Number], model: Model, period: float) -> dict[str, Number]:
     """The law's own gains, with what these resonances take of the loop's speed; its observer slows down as it does."""
-    others, slower, bandwidth = stated(model), _of(SLOWER, model, period), own["bandwidth"]
+    slower, bandwidth = _of(SLOWER, model, period), own["bandwidth"]
     lost = zeros_like(bandwidth)
-    for hertz, _, load in others:
+    for hertz, _, load in stated(model):
         there = hertz > 0.0
         near = bandwidth / select(there, hertz * period, zeros_like(hertz) + 1.0)
         lost = lost + select(there, slower * root(root(load)) * (near * root(near)), zeros_like(lost))
     left = 1.0 / (1.0 + lost)
-    times = {"bandwidth": left, "force_noise": left * left, "disturbance_noise": left * left * left}
-    if others:
-        for name, factor in times.items():
-            for rest in ("", "rest_"):
-                own[rest + name] = own[rest + name] * factor
+    cube = left * left * left
+    times = {
+        "bandwidth": left, "force_noise": left * left, "disturbance_noise": cube, "rest_bandwidth": left,
+        "rest_force_noise": left * left, "rest_disturbance_noise": cube, "integral": left, "table_delay": 1.0 / left,
+        "innovation_noise": 1.0 / cube,
+    }  # fmt: skip
+    for name, factor in times.items():
+        own[name] = own[name] * factor
     return own
 
 

@@ -16,9 +16,11 @@ from random import Random
 import numpy as np
 
 from drivers.base.toml_file import toml_value
+from hil.rig.measured_table import Tolerances
 from hil.rig.schema import RigConfig
+from hil.rig.tables import ModelConfig
 from hil.studies.population import Range, between, drawn, truth_of
-from sim_plant.axis_config import MOST_LOAD, ModeConfig, SlipConfig
+from sim_plant.axis_config import MOST_LOAD, MOST_MODES, ModeConfig, SlipConfig
 from sim_plant.config import CoggingConfig, PlantConfig
 from sim_plant.physics.truth import Truth
 
@@ -123,9 +125,26 @@ def plant_of(rig: RigConfig, seed: int, number: int, mode_hz: float | None, *, h
             ModeConfig(axis=name, frequency_hz=m.mode_frequency_hz * k, damping=m.mode_damping, load=m.mode_load)
             for name, m, k in zip(names, known, mode, strict=True)
             if m.mode_frequency_hz
-        ],
+        ] + _others(names, known, shares, Random(f"other modes/{seed}/{number}")),
     )  # fmt: skip
     return _harder(plant, rig, Random(f"hard/{seed}/{number}")) if hard else plant
+
+
+def _others(
+    names: Sequence[str], known: Sequence[ModelConfig], shares: Sequence[Tolerances], random: Random
+) -> list[ModeConfig]:
+    """The resonances that the models state beside the first, each off by itself."""
+    return [
+        ModeConfig(
+            axis=name,
+            frequency_hz=hertz * random.uniform(1.0 - share.mode, 1.0 + share.mode),
+            damping=damping,
+            load=load,
+            tool=False,
+        )
+        for name, model, share in zip(names, known, shares, strict=True)
+        for hertz, damping, load in model.other_modes
+    ]
 
 
 def _harder(plant: PlantConfig, rig: RigConfig, random: Random) -> PlantConfig:
@@ -147,11 +166,13 @@ def _harder(plant: PlantConfig, rig: RigConfig, random: Random) -> PlantConfig:
 
 
 def _modes(plant: PlantConfig, axis: str, rate_hz: float, random: Random) -> list[ModeConfig]:
-    """The axis' modes, and those that no model knows. No loop could damp what is above half the rate, and such a
-    resonance is folded below it; so they end at HARD_TO of the rate. Where the first leaves no room, there are none.
+    """The axis' modes, and those that no model knows: as many as an emulated axis may have. No loop could damp what is
+    above half the rate, and such a resonance is folded below it; so they end at HARD_TO of the rate. Where the first
+    leaves no room, there are none.
     """
     modes = [mode for mode in plant.modes if mode.axis == axis]
-    free = [mode.frequency_hz / (1.0 - mode.load) ** 0.5 for mode in modes]
+    free = [mode.frequency_hz / (1.0 - mode.load) ** 0.5 for mode in modes if mode.tool]
+    room_for = MOST_MODES - 1 - sum(not mode.tool for mode in modes)
     low, high = max([HARD_FROM_HZ, *(HARD_ABOVE * hertz for hertz in free)]), HARD_TO * rate_hz
     room = min(1.0, (MOST_LOAD - sum(mode.load for mode in modes)) / (2.0 * HARD_LOAD[1]))
     drawn_modes = [
@@ -165,7 +186,7 @@ def _modes(plant: PlantConfig, axis: str, rate_hz: float, random: Random) -> lis
         for _ in range(2)
     ]
     count = 1 + (random.random() < HARD_THIRD)
-    return [*modes, *drawn_modes[: count * (low < high)]]
+    return [*modes, *drawn_modes[: min(count, room_for) * (low < high)]]
 
 
 def _elements(axis: str, random: Random) -> list[SlipConfig]:
