@@ -51,7 +51,7 @@ ROOMS = {
          "tests/control/test_breakaway.py",
          "tests/control/test_structured_filter.py",
          "tests/control/test_presliding_kalman.py", "tests/control/test_iterative_learning.py",
-         "tests/control/test_repeat_memory.py", *_RUNS,
+         "tests/control/test_repeat_memory.py", "tests/control/test_other_modes.py", *_RUNS,
          "tests/control/test_handover.py", "tests/live/test_law_setting.py",
          "tests/control/test_laws.py", "tests/control/test_gain.py", _PAGES, "tests/control/test_user_laws.py",
          "tests/control/test_laws_gone_wrong.py",

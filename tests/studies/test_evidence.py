@@ -106,6 +106,54 @@ def test_where_the_first_resonance_leaves_no_room_below_half_the_rate_a_hard_sta
         assert sum(loads) <= 0.95
 
 
+def stated(others: list[list[float]]) -> RigConfig:
+    """The rig whose X says that it has these resonances beside the first."""
+    return load_rig(RIGS / "microscope.toml", ["law.name=presliding-kalman", f"axes.x.model.other_modes={others}"])
+
+
+def test_a_stage_has_the_resonances_that_its_model_states_within_their_tolerance() -> None:
+    told = stated([[260.0, 0.01, 0.05], [380.0, 0.02, 0.06]])
+    drawn = [plant_of(told, 3, number, 150.0) for number in range(60)]
+    found = [[mode for mode in plant.modes if not mode.tool] for plant in drawn]
+    assert {(mode.axis, mode.damping, mode.load) for pair in found for mode in pair} == {
+        ("x", 0.01, 0.05), ("x", 0.02, 0.06),
+    }  # fmt: skip
+    shares = np.array([[mode.frequency_hz for mode in pair] for pair in found]) / (260.0, 380.0)
+    assert 0.9 <= shares.min() < 0.92
+    assert 1.08 < shares.max() <= 1.1
+    assert abs(np.corrcoef(shares.T)[0, 1]) < 0.5  # each is off by itself
+    one = drawn[5]
+    assert one.model_copy(update={"modes": [mode for mode in one.modes if mode.tool]}) == plant_of(
+        stated([]), 3, 5, 150.0
+    )
+
+
+def test_a_hard_stage_has_others_that_no_model_states_as_far_as_an_axis_can() -> None:
+    whole = stated([[380.0, 0.02, 0.06]])
+    counts = set()
+    for number in range(20):
+        known = [mode for mode in plant_of(whole, 3, number, 0.0).modes if mode.axis == "x"]
+        modes = [mode for mode in plant_of(whole, 3, number, 0.0, hard=True).modes if mode.axis == "x"]
+        assert modes[:1] == known
+        counts.add(len(modes))
+    assert counts == {2}
+    full = stated([[260.0, 0.01, 0.05], [380.0, 0.02, 0.06]])
+    assert sum(mode.axis == "x" for mode in plant_of(full, 3, 5, 0.0, hard=True).modes) == 2
+
+
+@pytest.mark.long
+def test_a_stage_that_rings_where_nothing_is_stated_is_held_where_it_is() -> None:
+    """10 mm at 1 Hz on rigid stages with a resonance of 280 Hz that carries 6 % of the mass."""
+    whole = nominal(stated([[280.0, 0.006, 0.06]]), 0.0)
+    told, silent = only(whole, ["x"]), only(nominal(stated([]), 0.0), ["x"])
+    trial = Trial(LONG, 2.0, 1.0, False)
+    stages = Truth.stack([columns(stage_of(whole, 3, number, 0.0), [0]) for number in range(3)])
+    trajectory = ChosenAxes(trajectory_of(whole, trial), [0])
+    with_it, without = (np.abs(_errors(one, stages, trajectory, 2000, False)) for one in (told, silent))
+    assert with_it[1000:].max() < 8e-6
+    assert without[1000:].max() > 50e-6
+
+
 def test_stages_of_a_measured_rig_stay_within_what_was_measured() -> None:
     model = rig().axes["x"].model
     own = {"mass": model.mass, "mode_frequency_hz": 120.0, "torque_lag": 3e-4, "viscous": model.viscous}
