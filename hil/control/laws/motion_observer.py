@@ -202,10 +202,10 @@ class MotionModel:
         q[4][4] = q[4][4] + mode_noise * mode_noise * self._seen
         q[5][5] = q[5][5] + disturbance_noise * disturbance_noise
         c = [one, zero, zero, self._seen, zero, zero]
-        for place, (noise, seen) in enumerate(zip(other_noises, of_others, strict=True)):
-            rate = 2 * place + 7
-            q[rate][rate] = q[rate][rate] + noise * noise * seen
-            c += [seen, zero]
+        for place, (noise, there) in enumerate(zip(other_noises, of_others, strict=True)):
+            at = 2 * place + 7
+            q[at][at] = q[at][at] + noise * noise * there
+            c += [there, zero]
         p = _riccati(self._transition, c, q, one)
         seen = [row[0] + row[3] * self._seen + motion(row[6:]) for row in p]
         scale = 1.0 / (seen[0] + seen[3] * self._seen + motion(seen[6:]) + 1.0)
