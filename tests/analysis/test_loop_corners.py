@@ -385,7 +385,7 @@ def test_a_further_mass_rings_where_the_textbook_says() -> None:
 
 
 def test_axes_with_and_without_a_further_mass_step_beside_each_other() -> None:
-    """Places that weigh nothing change nothing."""
+    """Room that weigh nothing change nothing."""
     with_one, without = AxisDynamics(0.5, others=((280.0, 0.01, 0.06),)), AxisDynamics(0.5, 2e-4, 120.0, 0.02, 0.3)
     both, alone = FlexiblePlant([[with_one, without]], PERIOD), FlexiblePlant([[without]], PERIOD)
     both.place(np.array([[1e-6, 1e-6]]), np.zeros((1, 2)))
