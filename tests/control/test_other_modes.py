@@ -41,7 +41,7 @@ def test_the_observer_foretells_the_motor_of_masses_that_hang_on_it(first: float
     for force in random.uniform(-1.0, 1.0, 200):
         plant.advance(np.array([[force]]))
         observer.advance(float(force), 0.0)
-        seen.append(observer.seen())
+        seen.append(observer.seen)
         true.append(plant.error[0, 0])
     assert seen == pytest.approx(true, rel=1e-6, abs=1e-9 * np.abs(true).max())
 
@@ -54,7 +54,7 @@ def test_a_channel_is_what_an_observer_makes_of_a_force_it_does_not_know() -> No
         axis.d = float(force)
         axis.advance(0.0, 0.0)
         observer.advance(0.0, 0.0)
-        innovation = axis.seen() - observer.seen()
+        innovation = axis.seen - observer.seen
         observer.correct(innovation, gains)
         assert channel.innovation(float(force), motion, gains) == pytest.approx(innovation, rel=1e-6, abs=1e-12)
 
@@ -65,12 +65,12 @@ def test_a_force_that_was_another_than_expected_is_put_right_by_one_sample() -> 
     axis.f = 0.4
     axis.advance(0.0, 0.0)
     observer.advance(0.0, 0.0)
-    observer.correct(axis.seen(), motion.thrown)
+    observer.correct(axis.seen, motion.thrown)
     axis.f = observer.f
     for _ in range(20):
         axis.advance(0.0, 0.0)
         observer.advance(0.0, 0.0)
-        assert observer.seen() == pytest.approx(axis.seen(), rel=1e-6)
+        assert observer.seen == pytest.approx(axis.seen, rel=1e-6)
 
 
 def test_a_light_resonance_is_no_tool_that_the_law_would_follow() -> None:

@@ -133,7 +133,8 @@ class MotionModel:
         turn = TURN * model.mode_frequency * root(1.0 / (1.0 - load)) * period
         ring = (turn + zero) * mode_share
         rings = model.mode_frequency + zero > 0.0
-        self.flexible = anywhere(rings)
+        self.others = stated(model)
+        self.flexible = anywhere(rings) or bool(self.others)
         self._seen = select(rings, one, zero)
         # s^2: the tool is behind the encoder by that times the acceleration. What the reference bends the spring by is
         # not in x, which is of forces beyond the reference's: the error seen is the encoder's.
@@ -152,7 +153,6 @@ class MotionModel:
             [o, o, o, o, o, o, o],
             [o, o, o, o, o, o, o],
         ]  # fmt: skip
-        self.others = stated(model)
         if self.others:
             motor = 1.0 - load
             tool = motor * (ring * ring), motor * (2.0 * (model.mode_damping + zero) * ring), load * self._seen
@@ -253,19 +253,17 @@ class Channel:
             x = model.x_x * self._x + model.x_n * self._n - model.x_d * force
             n = model.n_x * self._x + model.n_n * self._n - model.n_d * force
             seen = e + x
-        else:
-            x = n = self._none
-            seen = e
-        springs = model.springs
-        if springs is not None:
-            before = self._others or [self._none] * springs.states
-            others = springs.moved(before, self._x, self._n, (self._none, self._none, force))
-            x, n = x + springs.on_motion(before), n + springs.on_rate(before)
-            seen = e + x + motion(others)
-            self._others = corrected(others, gains.others, -seen)
-        if model.flexible:
+            springs = model.springs
+            if springs is not None:
+                before = self._others or [self._none] * springs.states
+                others = springs.moved(before, self._x, self._n, (self._none, self._none, force))
+                x, n = x + springs.on_motion(before), n + springs.on_rate(before)
+                seen = e + x + motion(others)
+                self._others = corrected(others, gains.others, -seen)
             self._x = x - gains.x * seen
             self._n = n - gains.n * seen
+        else:
+            seen = e
         self._e = e - gains.e * seen
         self._v = v - gains.v * seen
         self._d = self._d - gains.d * seen
@@ -285,26 +283,25 @@ class MotionObserver:
         self.f, self.d = zero + force, zero + force
         springs = self._model.springs
         self._others = [zero] * springs.states if springs is not None else []
-
-    def seen(self) -> Number:
-        """Error of the encoder, m."""
-        error = self.e + self.x
-        return error + motion(self._others) if self._others else error
+        self.seen = zero  # error of the encoder, m
 
     def advance(self, force: Number, lost: Number) -> None:
         """One period on under `force` (N); `lost`: m by which the reference moved beyond its mean velocity."""
         m, f, d, v = self._model, self.f, self.d, self.v
         self.e = self.e + m.time * v + (m.e_f * f + m.e_u * force - m.e_d * d) - lost
         self.v = v + (m.v_f * f + m.v_u * force - m.v_d * d)
-        x, n = self.x, self.n
         if m.flexible:
+            x, n = self.x, self.n
             self.x = m.x_x * x + m.x_n * n + (m.x_f * f + m.x_u * force - m.x_d * d)
             self.n = m.n_x * x + m.n_n * n + (m.n_f * f + m.n_u * force - m.n_d * d)
-        if m.springs is not None:
-            others = self._others
-            self._others = m.springs.moved(others, x, n, (f, force, d))
-            self.x, self.n = self.x + m.springs.on_motion(others), self.n + m.springs.on_rate(others)
+            if m.springs is not None:
+                others = self._others
+                self._others = m.springs.moved(others, x, n, (f, force, d))
+                self.x, self.n = self.x + m.springs.on_motion(others), self.n + m.springs.on_rate(others)
         self.f = m.kept * f + m.taken * force
+        self.seen = self.e + self.x
+        if self._others:
+            self.seen = self.seen + motion(self._others)
 
     def correct(self, innovation: Number, gains: Gains) -> None:
         """Take in what a sample says beyond the prediction (m)."""
@@ -313,9 +310,12 @@ class MotionObserver:
         if self._model.flexible:
             self.x = self.x + gains.x * innovation
             self.n = self.n + gains.n * innovation
-        if self._others:
-            self._others = corrected(self._others, gains.others, innovation)
+            if self._others:
+                self._others = corrected(self._others, gains.others, innovation)
         self.d = self.d + gains.d * innovation
+        self.seen = self.e + self.x
+        if self._others:
+            self.seen = self.seen + motion(self._others)
 
     def ahead(self, force: Number, lost: Number, d: Number) -> tuple[Number, Number]:
         """Error and rate of the centre of mass one period on, under `force` and against a disturbance `d` (N)."""

@@ -268,7 +268,7 @@ class PreslidingKalman(Law):
         if memory is not None:
             observer.d = observer.d - memory.steps[0]
         observer.advance(before - self._known_before, (q - self._position) - half * (v + self._velocity))
-        error = observer.seen()  # as predicted
+        error = observer.seen  # as predicted
         innovation = (inputs.position - q - error) * inputs.fresh
         moves = (v != 0.0) | (q != self._position)
         self._position, self._velocity = copy(q), copy(v)
@@ -281,7 +281,7 @@ class PreslidingKalman(Law):
             d = d - memory.steps[1]  # as it is after the sample
             self._repeat(memory, inputs)
         learn = select(moves, inputs.fresh, zeros_like(inputs.fresh)) * self._open
-        self._weights.learn(q + observer.seen(), innovation, learn, self._gains)
+        self._weights.learn(q + observer.seen, innovation, learn, self._gains)
         if tick == TAKEN_OVER:
             observer.f = copy(self._short)
             self._weights.throw(self._short)
@@ -314,7 +314,7 @@ class PreslidingKalman(Law):
         rests = (v0 == 0.0) & (v1 == 0.0)
         weights = self._weights.friction()
         self._schedule(rests, weights)
-        error = observer.seen()
+        error = observer.seen
         none = zeros_like(error)
         crept = self._creep + self._ramp * select(abs(error) < self._creeping, error, none)
         self._creep = creep = select(self._rest < 1.0, none, crept)
