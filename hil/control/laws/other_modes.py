@@ -7,8 +7,6 @@ on the held motor, and the motor's own part 1 - sum(load_j):
 
     x_i'' = load_i / (1 - sum(load_j)) [(f - d) / m - sum(s_j)] - s_i,   s_i = w_i^2 x_i + 2 zeta_i w_i x_i'
 
-A notch in the force that is fed back needs the same width for the same margins, and turns the loop's phase besides.
-
 Written for floats and arrays.
 """
 
