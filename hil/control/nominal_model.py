@@ -35,6 +35,7 @@ def rig_model(rig: RigConfig) -> Model:
         third_frequency=third[0],
         third_damping=third[1],
         third_load=third[2],
+        friction_period=np.array([a.friction_period for a in axes]),
     )
 
 

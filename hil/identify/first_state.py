@@ -19,6 +19,7 @@ import tomlkit
 
 from hil.control.gain import with_defaults
 from hil.control.law_registry import law_class
+from hil.control.laws.friction_wave import WAVES, fine
 from hil.control.laws.friction_weights import WEIGHTS
 from hil.control.laws.position_table import HALF, NODES
 from hil.control.laws.presliding_bank import slopes
@@ -78,18 +79,31 @@ def first_state(
     found: Mapping[str, Estimate], elements: Elements | None, travel: TravelCurves | None, model: ModelConfig,
     *, turning: float, finest: float, pitch: float,
 ) -> list[float]:  # fmt: skip
-    """Weights of the law's operators (N), of the mass beyond the model's (kg), and the force at every node of the
-    tables, forwards and backwards (N). model: that the law begins with. turning: acceleration of motions that turn
-    round, m/s^2. finest, pitch: m, gains of the law. What was not found is as the law begins without.
+    """Weights of the law's operators (N), of the mass beyond the model's (kg), the force at every node of the tables,
+    forwards and backwards (N), and the waves of hil/control/laws/friction_wave.py (N). model: that the law begins with.
+    turning: acceleration of motions that turn round, m/s^2. finest, pitch: m, gains of the law. What was not found is
+    as the law begins without.
     """
     friction = found["coulomb"].value if "coulomb" in found else model.coulomb
     weights = _weights(found, elements, friction, model.mass, turning, 1.0 / np.array(slopes(finest)))
     mass = [0.0] * (WEIGHTS - len(weights))
     if travel is None or not travel.position.size:
-        return [*weights, *mass, *[0.0] * (2 * NODES)]
+        return [*weights, *mass, *[0.0] * (2 * NODES + WAVES)]
     rest, place = travel.friction - sum(weights), travel.place + model.gravity  # which the model holds against
+    sine, cosine = _wave(found, friction, pitch)
+    if sine or cosine:
+        angle = 2.0 * np.pi * travel.position / found["friction_period"].value
+        rest = rest - (sine * np.sin(angle) + cosine * np.cos(angle))
     forward, backward = (_table(travel.position, place + way * rest, pitch) for way in (1.0, -1.0))
-    return [*weights, *mass, *forward, *backward]
+    return [*weights, *mass, *forward, *backward, sine, cosine, -sine, -cosine]
+
+
+def _wave(found: Mapping[str, Estimate], friction: float, pitch: float) -> tuple[float, float]:
+    """Sine and cosine along the travel of friction that varies with a period which is too fine for the tables, N."""
+    if "friction_period" not in found or not fine(found["friction_period"].value, pitch):
+        return 0.0, 0.0
+    size, phase = found["friction_variation"].value * friction, found["friction_phase"].value
+    return size * math.cos(phase), size * math.sin(phase)
 
 
 def _weights(

@@ -1,5 +1,6 @@
 """Passes at constant speed, as the mean force over each place along the travel."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from hil.identify.force_balance import CORNER_HZ, EDGE_S, lagged
 LEAD, MOST_LEAD = 0.08, 0.25
 STALL_S = 0.05, 0.15  # left out before a stall, for the filter, and behind it, until the loop is at rest again
 PLACES = 240  # along the travel; the force is averaged over each
+SMOOTH_S = math.sqrt(math.log(2.0)) / (2.0 * math.pi * CORNER_HZ)  # standard deviation of the filter
 
 
 class SpeedPass(NamedTuple):
@@ -38,6 +40,13 @@ class Points(NamedTuple):
     velocity: Array
     of_pass: Array
     place: Array
+
+
+def seen(points: Points, length: float) -> Array:
+    """Share of a sinusoid of that length (m) along the travel that filter and places leave of it, (k,)."""
+    width = float(np.ptp(points.position)) / (PLACES - 1)
+    share: Array = np.exp(-0.5 * (2.0 * np.pi * SMOOTH_S * points.velocity / length) ** 2) * np.sinc(width / length)
+    return share
 
 
 def points_of(passes: Sequence[SpeedPass], period: float, mass: float, lag: float) -> Points:
@@ -78,7 +87,7 @@ def _sound(when: Array, one: SpeedPass, period: float) -> NDArray[np.bool_]:
 
 def _smooth(one: SpeedPass, period: float, mass: float, lag: float) -> tuple[Array, Array]:
     """Position and force less inertia, filtered alike; without the ends, where the filter has half its data."""
-    width, edge = np.sqrt(np.log(2.0)) / (2.0 * np.pi * CORNER_HZ * period), round(EDGE_S / period)
+    width, edge = SMOOTH_S / period, round(EDGE_S / period)
     if one.position.size < 3 * edge:
         raise Refused(f"a pass at {one.speed:.3g} m/s is at constant speed for {one.position.size * period:.2g} s only")
     position = gaussian_filter1d(one.position, width, mode="nearest")

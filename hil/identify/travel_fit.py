@@ -12,12 +12,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from hil.identify.estimate import Array, Estimate, Refused, jackknife
-from hil.identify.places import PLACES, Points, SpeedPass, points_of
+from hil.identify.places import PLACES, Points, SpeedPass, points_of, seen
 
 LEAST_PASSES = 4
 PERIODS, SEEDS = 32, 3  # tried of each kind, and refined
 GAIN = 1.5  # by which a sinusoid along the travel must lower the residual's square to be told
 LEAST_PARTS, LONGEST = 4.0, 4.0  # periods are searched from the travel over the first squared to this many of it
+# Of friction from travel / FINEST on, as rolling elements pass: so many tried for each period in the travel.
+FINEST, DENSITY = 80.0, 2.5
 # Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
 SYSTEMATIC = {
     "coulomb": 0.001, "viscous": 0.015, "friction_variation": 0.03, "friction_period": 0.001,
@@ -112,7 +114,9 @@ def travel_fit(
         if name in refused:
             for gone in (name, period_of, period_of.replace("period", "phase")):
                 found.pop(gone, None)
-    curves = _curves(level, centre, rest, [p.speed for p in passes], float(x[0]), viscous)
+    hidden = x @ (_design(level, waves, blurred=False) - _design(level, waves))
+    whole = level._replace(force=level.force + hidden)
+    curves = _curves(whole, centre, rest, [p.speed for p in passes], float(x[0]), viscous)
     return TravelFit(found, refused, residual, curves)
 
 
@@ -167,13 +171,15 @@ def _without_speed(points: Points, viscous: float) -> Points:
     return points._replace(force=points.force - viscous * points.velocity)
 
 
-def _design(points: Points, waves: Sequence[tuple[bool, float]]) -> Array:
-    """(k, n): BASE, then sine and cosine of every wave; a wave of friction (True) changes sign with the direction."""
+def _design(points: Points, waves: Sequence[tuple[bool, float]], *, blurred: bool = True) -> Array:
+    """(k, n): BASE, then sine and cosine of every wave; a wave of friction (True) changes sign with the direction.
+    blurred: as filter and places show them.
+    """
     direction = np.sign(points.velocity)
     rows = [direction, np.ones_like(direction), points.position]
     for odd, length in waves:
         angle = 2.0 * np.pi * points.position / length
-        factor = direction if odd else 1.0
+        factor = (direction if odd else 1.0) * (seen(points, length) if blurred else 1.0)
         rows += [factor * np.sin(angle), factor * np.cos(angle)]
     return np.array(rows)
 
@@ -194,8 +200,11 @@ def _waves(points: Points) -> list[tuple[bool, float]]:
     """The periods along the travel that are worth it: one of friction, one of the place, searched together."""
     travel = float(np.ptp(points.position))
     lengths = np.geomspace(travel / LEAST_PARTS**2, LONGEST * travel, PERIODS).tolist()
+    counts = np.arange(LEAST_PARTS**2, FINEST, 1.0 / DENSITY)
+    fine = sorted((travel / counts).tolist(), key=lambda length: _square(points, [(True, length)]))
     single = [[(odd, length)] for odd in (True, False) for length in lengths]
-    pairs = [[(True, odd), (False, even)] for odd in lengths for even in lengths]
+    single += [[(True, length)] for length in fine[:SEEDS]]
+    pairs = [[(True, odd), (False, even)] for odd in lengths + fine[:1] for even in lengths]
     best: list[tuple[bool, float]] = []
     least = _square(points, best)
     for tried in (single, pairs):
@@ -254,6 +263,7 @@ def _drift(points: Points, waves: Sequence[tuple[bool, float]], x: Array) -> dic
     for i, (odd, length) in enumerate(waves):
         turn, (sine, cosine) = 2.0 * np.pi / length, x[len(BASE) + 2 * i :][:2]
         steep = turn * (sine * np.cos(turn * points.position) - cosine * np.sin(turn * points.position))
+        steep *= seen(points, length)
         slope += steep * base[0] if odd else steep
     part = points.of_pass / max(points.of_pass.max(), 1)
     a = np.vstack([base, part, part * base[0], -part * slope])

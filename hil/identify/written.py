@@ -11,7 +11,9 @@ from tomlkit.items import InlineTable
 
 from hil.identify.estimate import Estimate
 
-MODEL_KEYS = ("mass", "coulomb", "viscous", "torque_lag", "mode_frequency_hz", "mode_damping", "mode_load")
+MODEL_KEYS = (
+    "mass", "coulomb", "viscous", "friction_period", "torque_lag", "mode_frequency_hz", "mode_damping", "mode_load",
+)  # fmt: skip
 DIGITS = 6
 NOT_CHECKED: Mapping[str, tuple[float, float]] = {}
 

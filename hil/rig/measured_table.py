@@ -20,6 +20,12 @@ class MeasuredConfig(Table):
     mass: Measured | None = key(None, f"moving mass (moment of inertia): {BOTH}", "kg (kg m^2)")
     coulomb: Measured | None = key(None, f"Coulomb friction: {BOTH}", "N (N m)")
     viscous: Measured | None = key(None, f"viscous friction: {BOTH}", "N s/m (N m s/rad)")
+    friction_period: Measured | None = key(
+        None,
+        f"length along the travel with which friction varies: {BOTH}",
+        "m (rad)",
+        exclude_if=lambda one: one is None,
+    )
     gravity: Measured | None = key(None, f"constant force on the axis: {BOTH}", "N (N m)")
     torque_lag: Measured | None = key(None, f"time constant of the force: {BOTH}", "s")
     mode_frequency_hz: Measured | None = key(None, f"resonance of the tool: {BOTH}", "Hz")

@@ -91,6 +91,13 @@ class ModelConfig(Table):
         "m (rad)",
         max_length=2,
     )
+    friction_period: NonNegative = key(
+        0.0,
+        "length along the travel with which friction varies, as where rolling elements pass; presliding-kalman learns "
+        "it, where it is below 4 table_pitch; 0: none is known",
+        "m (rad)",
+        exclude_if=lambda value: value == 0.0,
+    )
 
     @model_validator(mode="after")
     def _modes(self) -> "ModelConfig":

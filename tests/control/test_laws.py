@@ -170,8 +170,16 @@ def test_a_batch_is_its_members_one_by_one(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_on_plain_floats_axis_by_axis_a_law_asks_for_the_same_bits_as_on_arrays(name: str) -> None:
-    arrays = law(name)
-    floats = make_axis_laws(configured(name), model(), PERIOD, LIMIT, repeat=(50_000_000, 0))
+    ask_for_the_same_bits(name, model())
+
+
+def test_so_it_does_where_the_friction_of_one_axis_has_a_period() -> None:
+    ask_for_the_same_bits("presliding-kalman", dataclasses.replace(model(), friction_period=np.array([0.0, 2e-3])))
+
+
+def ask_for_the_same_bits(name: str, known: Model) -> None:
+    arrays = make_law(configured(name), known, PERIOD, LIMIT, repeat=(50_000_000, 0))
+    floats = make_axis_laws(configured(name), known, PERIOD, LIMIT, repeat=(50_000_000, 0))
     scene = Scene(150, seed=11)
     arrays.reset(scene.reference(0).position, GRAVITY)
     floats.reset(scene.reference(0).position.tolist(), GRAVITY.tolist())

@@ -9,6 +9,7 @@ import tomlkit
 from drivers.base.toml_file import toml_text
 from hil.control.laws.position_table import NODES, PositionTable
 from hil.control.laws.presliding_bank import slopes
+from hil.control.laws.presliding_kalman import KEPT
 from hil.identify.elements import Elements
 from hil.identify.estimate import Array, Estimate
 from hil.identify.findings import Findings
@@ -54,11 +55,11 @@ def test_a_bristle_as_long_as_an_operator_becomes_its_weight() -> None:
 @pytest.mark.parametrize("length", [0.5e-6, 1.4e-6, 12e-6, 30e-6])
 def test_a_bristle_of_another_length_turns_as_it_does(length: float) -> None:
     whole = state(found(coulomb=0.7, presliding=length))
-    assert len(whole) == 7 + 2 * NODES
+    assert len(whole) == KEPT
     assert sum(whole[:6]) == pytest.approx(0.7)
     truth = 1.4 * (1.0 - np.exp(-WAYS / length))
     assert np.abs(turned(whole[:6]) - truth).max() < 0.05 * 1.4
-    assert whole[6:] == [0.0] * (1 + 2 * NODES), "the model knows the mass; no travel was seen"
+    assert whole[6:] == [0.0] * (KEPT - 6), "the model knows the mass; no travel was seen"
 
 
 def test_a_damped_bristle_turns_as_in_a_motion_that_turns_round() -> None:
@@ -103,7 +104,7 @@ def tables(whole: list[float]) -> tuple[PositionTable, PositionTable]:
     """As the law has them, forwards and backwards."""
     both = PositionTable(PITCH, 10.0), PositionTable(PITCH, 10.0)
     both[0].fill(list(whole[7 : 7 + NODES]))
-    both[1].fill(list(whole[7 + NODES :]))
+    both[1].fill(list(whole[7 + NODES : 7 + 2 * NODES]))
     return both
 
 
@@ -122,6 +123,20 @@ def test_the_tables_have_the_force_of_each_place_in_each_direction() -> None:
         assert float(forward.at(place)) == pytest.approx(0.1 + 3.0 * place + varied, abs=0.005)
         assert float(backward.at(place)) == pytest.approx(0.1 + 3.0 * place - varied, abs=0.005)
     assert float(forward.at(0.025)) == pytest.approx(float(forward.at(0.0181)), abs=1e-3), "held where nothing was seen"
+
+
+def test_what_is_too_fine_for_the_tables_begins_the_waves() -> None:
+    """And is in the tables no more; from four pitches on the tables have it."""
+    position = np.linspace(-0.018, 0.018, 240)
+    period, variation, phase = 0.9e-3, 0.1, 2.0
+    friction = COULOMB * (1.0 + variation * np.sin(2.0 * np.pi * position / period + phase))
+    travel = TravelCurves(position, friction, 0.0 * position - 2.0, *[np.ones(1)] * 2)
+    told = {"coulomb": COULOMB, "presliding": 5e-6, "friction_variation": variation, "friction_phase": phase}
+    whole = state(found(**told, friction_period=period), None, travel)
+    wave = [variation * COULOMB * np.cos(phase), variation * COULOMB * np.sin(phase)]
+    assert whole[-4:] == pytest.approx([*wave, -wave[0], -wave[1]])
+    coarse = state(found(**told, friction_period=4e-3), None, travel)
+    assert coarse[-4:] == [0.0] * 4
 
 
 def test_places_further_apart_than_the_nodes_are_joined() -> None:
@@ -163,7 +178,7 @@ def test_a_rig_file_names_what_was_written_beside_it(tmp_path: Path) -> None:
     rig, said = written(RIGS / "microscope.toml", tmp_path / "new.toml", FOUND)
     assert rig.law.learnt == "new.learnt.json"
     assert said == f"{tmp_path / 'new.learnt.json'}: what its law begins with (x)"
-    assert [len(values) for values in rig.law.learnt_state] == [7 + 2 * NODES, 0, 0, 0]
+    assert [len(values) for values in rig.law.learnt_state] == [KEPT, 0, 0, 0]
     assert sum(rig.law.learnt_state[0][:6]) == pytest.approx(0.62)
     middle = rig.law.learnt_state[0][7 + NODES // 2]
     assert middle == pytest.approx(2.1 - 0.05 + COULOMB - 0.62, abs=0.005), "beyond the weight that the model has"

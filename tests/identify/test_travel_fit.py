@@ -13,11 +13,11 @@ PERIOD = 1e-3
 COULOMB, CONSTANT, VISCOUS, STIFFNESS = 0.5, -2.4, 3.0, 0.1
 
 
-def one(speed: float, waves: bool, noise: float = 1e-3) -> SpeedPass:
+def one(speed: float, waves: bool, noise: float = 1e-3, length: float = 0.009) -> SpeedPass:
     """From one end of 30 mm to the other."""
     n = round(0.03 / abs(speed) / PERIOD)
     x = 0.015 * np.linspace(-1.0, 1.0, n) * math.copysign(1.0, speed)
-    friction = COULOMB * (1.0 + 0.1 * waves * np.sin(2.0 * math.pi * x / 0.009 + 1.0))
+    friction = COULOMB * (1.0 + 0.1 * waves * np.sin(2.0 * math.pi * x / length + 1.0))
     place = 0.03 * waves * np.cos(2.0 * math.pi * x / 0.024)
     force = math.copysign(1.0, speed) * friction + place + CONSTANT + VISCOUS * speed + STIFFNESS * x
     return SpeedPass(force + np.random.default_rng(n).normal(0.0, noise, n), x, speed)
@@ -38,6 +38,18 @@ def test_friction_and_what_varies_along_the_travel() -> None:
     ):  # fmt: skip
         assert found[name].value == pytest.approx(truth, rel=within), name
     assert found["coulomb"].holds(mean)
+
+
+@pytest.mark.parametrize("length", [0.6e-3, 1e-3, 1.9e-3])
+def test_friction_of_rolling_elements_that_pass(length: float) -> None:
+    """At 40 mm/s the filter leaves nothing of 0.6 mm, at 10 mm/s nearly all."""
+    fit = travel_fit([one(speed, waves=True, length=length) for speed in SPEEDS], PERIOD, 0.9)
+    assert fit.found["friction_period"].value == pytest.approx(length, rel=1e-3)
+    assert fit.found["friction_variation"].value == pytest.approx(0.1, rel=0.05)
+    assert fit.found["friction_phase"].value == pytest.approx(1.0, abs=0.05)
+    assert fit.found["cogging_period"].value == pytest.approx(0.024, rel=0.02)
+    truth = COULOMB * (1.0 + 0.1 * np.sin(2.0 * math.pi * fit.curves.position / length + 1.0))
+    assert np.abs(fit.curves.friction - truth).max() < 0.2 * 0.1 * COULOMB, "curves show what the filter hid"
 
 
 def test_a_plain_guide_has_no_waves() -> None:

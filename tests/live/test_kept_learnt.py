@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.control.laws.presliding_kalman import KEPT
 from hil.cycle.state_machine import State
 from hil.cycle.step import ControlCycle
 from hil.cycle.tick import CommandKind
@@ -24,7 +25,7 @@ from tests.support.paths import RIGS
 SETS = ["law.name=presliding-kalman", "bus.interface=socketcan", "plant.presliding=5e-6"]
 SMALL = ("task.radius=1e-3", "task.frequency_hz=5.0", "task.approach_s=0.1")
 LASTS = 1000  # ticks until the operator stops
-STATE = [[0.25] * 133, [0.5] * 133]
+STATE = [[0.25] * KEPT, [0.5] * KEPT]
 
 
 @pytest.fixture(autouse=True)
@@ -85,7 +86,7 @@ def test_a_law_that_keeps_nothing_is_left_alone() -> None:
 
 def named(path: Path, x: float) -> RigConfig:
     """A rig whose file names what to begin with: of x alone, as `hil identify` writes of one axis."""
-    state = {"x": [x] * 133, "y": list[float]()}
+    state = {"x": [x] * KEPT, "y": list[float]()}
     write_learnt_file(path, "paper", learning_hash(rig()), learning_hashes(rig()), state)
     return rig(f"law.learnt={path}")
 
@@ -93,25 +94,25 @@ def named(path: Path, x: float) -> RigConfig:
 def test_a_named_state_begins_until_a_run_has_learnt_from_it(tmp_path: Path) -> None:
     first = named(tmp_path / "first.json", 0.125)
     begun, line = with_kept(first, fresh=False)
-    assert (begun.law.learnt_state, line) == ([[0.125] * 133, []], f"begins with {tmp_path / 'first.json'}")
+    assert (begun.law.learnt_state, line) == ([[0.125] * KEPT, []], f"begins with {tmp_path / 'first.json'}")
     assert begun.law.keeps
     keep(begun, STATE)
     assert with_kept(first, fresh=False)[0].law.learnt_state == STATE, "the newer one of the same stage"
     assert with_kept(rig(), fresh=False)[0].law.learnt_state == STATE
-    assert with_kept(first, fresh=True)[0].law.learnt_state == [[0.125] * 133, []]
+    assert with_kept(first, fresh=True)[0].law.learnt_state == [[0.125] * KEPT, []]
     keep(with_kept(first, fresh=False)[0], STATE[::-1])
     assert with_kept(first, fresh=False)[0].law.learnt_state == STATE[::-1], "and so on from run to run"
     second = named(tmp_path / "second.json", 0.375)
-    assert with_kept(second, fresh=False)[0].law.learnt_state[0] == [0.375] * 133, "identified again"
+    assert with_kept(second, fresh=False)[0].law.learnt_state[0] == [0.375] * KEPT, "identified again"
 
 
 def test_a_named_state_takes_the_place_of_what_runs_without_it_kept(tmp_path: Path) -> None:
     keep(with_kept(rig(), fresh=False)[0], STATE)
     one = named(tmp_path / "first.json", 0.125)
-    assert with_kept(one, fresh=False)[0].law.learnt_state == [[0.125] * 133, []]
+    assert with_kept(one, fresh=False)[0].law.learnt_state == [[0.125] * KEPT, []]
     kept_path(one).write_text("{")
     begun, line = with_kept(one, fresh=False)
-    assert begun.law.learnt_state == [[0.125] * 133, []]
+    assert begun.law.learnt_state == [[0.125] * KEPT, []]
     assert line.endswith(f"; begins with {tmp_path / 'first.json'}")
 
 
@@ -167,7 +168,7 @@ def test_what_one_activation_learnt_begins_the_next_and_a_replay_needs_no_file(t
         run.tick()
     assert run.cycle.state is State.ACTIVE
     kept = axes.kept()
-    assert [len(values) for values in kept] == [133, 133]
+    assert [len(values) for values in kept] == [KEPT, KEPT]
     fresh, _ = with_kept(rig(), fresh=True)
     assert kept[0][:7] != ControlCycle(fresh, RIGS).axes.law.laws[0].learnt_state()[:7]  # type: ignore[attr-defined]
     recorder.close()

@@ -36,6 +36,7 @@ class Model:
     mass. presliding_least, presliding_greatest: m (rad), Coulomb friction over its stiffness at rest; 0: not stated.
     known: how well mass, mode and lag are measured, 0 (not at all) to 1 (within hil.rig.measured_table.KNOWN).
     second_..., third_...: of two further masses on springs, as the tool's; a frequency of 0: none.
+    friction_period: m (rad), with which friction varies along the travel; 0: not stated.
     """
 
     mass: Number
@@ -56,6 +57,7 @@ class Model:
     third_frequency: Number = 0.0
     third_damping: Number = 0.0
     third_load: Number = 0.0
+    friction_period: Number = 0.0
 
 
 def axis_model(whole: Any, index: int) -> Model:
@@ -68,7 +70,7 @@ def axis_model(whole: Any, index: int) -> Model:
         whole.torque_lag, whole.mode_frequency, whole.mode_damping, whole.mode_load,
         whole.presliding_least, whole.presliding_greatest, whole.known,
         whole.second_frequency, whole.second_damping, whole.second_load,
-        whole.third_frequency, whole.third_damping, whole.third_load,
+        whole.third_frequency, whole.third_damping, whole.third_load, whole.friction_period,
     )  # fmt: skip
     return Model(*(value if isinstance(value, float) else float(value[index]) for value in values))
 

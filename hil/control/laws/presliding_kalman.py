@@ -1,7 +1,7 @@
 """PD plus feedforward for real guides: friction by the motion since the reversal, learnt while moving; lag and a
 flexible mode inside the observer; a bias that is found.
 
-    force = lag^-1 [(m + dm) a + viscous v + quadratic v |v| + gravity + sum w_i z_i(r + s) + table(r)]
+    force = lag^-1 [(m + dm) a + viscous v + quadratic v |v| + gravity + sum w_i z_i(r + s) + wave(r) + table(r)]
             - Kp e - Kd e' + d
 
 - z_i: operators of presliding friction (hil/control/laws/presliding_bank.py) on the reference r. s integrates the error
@@ -11,6 +11,7 @@ flexible mode inside the observer; a bias that is found.
 - w_i and dm: by a Kalman filter on the observer's innovations (hil/control/laws/weight_regression.py), only while the
   reference moves. Its regressors are the operators on the observed position, as the axis is not where the reference is;
   but measured friction itself is never fed forward, which would be positive feedback with delay.
+- wave(r): friction that varies with a period of the model too fine for the table (hil/control/laws/friction_wave.py).
 - table: what the observer's disturbance d repeats along the travel, by direction (hil/control/laws/position_table.py).
   While the mode rings d follows it, and nothing is learnt: moves to and fro over one place would add it up.
 - e, e', d: by a steady Kalman filter with lag and mode (hil/control/laws/motion_observer.py), predicted to where the
@@ -38,6 +39,7 @@ from typing import Any, ClassVar
 from hil.control.gain import TINIEST, Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.breakaway import anywhere
+from hil.control.laws.friction_wave import WAVES, FrictionWave
 from hil.control.laws.friction_weights import WEIGHTS, FrictionWeights
 from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver, as_designed
 from hil.control.laws.other_modes import noises, slowed
@@ -54,7 +56,7 @@ STRETCH = 4.0  # s stays within this many times the coarsest reach
 TABLE_LIMIT, LARGEST_STEP = 0.5, 0.2  # of the friction; of the table's change in a period
 CENTRE = 0.125
 CREEPING = 0.5  # of the finest reach: a larger error is an arrival or a step, after which a ramp would overshoot
-KEPT = WEIGHTS + 2 * NODES  # numbers of a learnt state before its force
+KEPT = WEIGHTS + 2 * NODES + WAVES  # numbers of a learnt state before its force
 
 
 def _of_model(unit: str, meaning: str, tune: Knob | None = None) -> Gain:
@@ -156,6 +158,7 @@ class PreslidingKalman(Law):
         self._pitch, self._table_limit = gain("table_pitch"), TABLE_LIMIT * dry
         self._table_gain = gain("table_rate") * (period / self._pitch)
         self._delay = gain("table_delay") * period
+        self._wave = FrictionWave(full_like(shape, model.friction_period), self._pitch, dry, self._motion)
         self._memory: RepeatMemory | None = None
         self._kept: list[Number] = []  # weights and tables to begin with
         self.reset(zeros_like(shape), full_like(shape, model.gravity))
@@ -172,9 +175,13 @@ class PreslidingKalman(Law):
         self._memory = RepeatMemory(repeat_ns, from_ns, self._period, 0.5 * self._limit)
 
     def learnt_state(self) -> list[Number]:
-        """See Law: weights, both tables, and the force of every tick of the repeat, where it learns one."""
-        learnt = self._weights.values() + self._forward.values() + self._backward.values()
+        """See Law: weights, both tables, waves, and the force of every tick of the repeat, where it learns one."""
+        learnt = self._map()
         return learnt if self._memory is None else learnt + self._memory.best()
+
+    def _map(self) -> list[Number]:
+        tables = self._forward.values() + self._backward.values()
+        return self._weights.values() + tables + self._wave.values()
 
     def begin_learnt(self, state: list[Number]) -> None:
         """See Law."""
@@ -188,7 +195,7 @@ class PreslidingKalman(Law):
     def keep(self) -> None:
         """See Law."""
         if anywhere(self._moved > MOVED_PERIODS):
-            self._kept = self._weights.values() + self._forward.values() + self._backward.values()
+            self._kept = self._map()
             if self._memory is not None:
                 self._memory.keep()
 
@@ -222,6 +229,7 @@ class PreslidingKalman(Law):
         self._weights.reset(zero, full_like(position, model.coulomb))
         self._forward = PositionTable(full_like(position, self._pitch), full_like(position, self._table_limit))
         self._backward = PositionTable(full_like(position, self._pitch), full_like(position, self._table_limit))
+        self._wave.reset(zero)
         self._shift, self._rest, self._stiff, self._moved = zero, one, one, zero
         self._creep = zero  # error that would make s move as it goes on moving at rest, m
         self._lagged = gravity  # force behind the lag that the feedforward has come to
@@ -239,7 +247,8 @@ class PreslidingKalman(Law):
             kept = [full_like(position, value) for value in self._kept[:WEIGHTS]]
             self._weights.fill(kept)
             self._forward.fill(self._kept[WEIGHTS : WEIGHTS + NODES])
-            self._backward.fill(self._kept[WEIGHTS + NODES :])
+            self._backward.fill(self._kept[WEIGHTS + NODES : KEPT - WAVES])
+            self._wave.fill(self._kept[KEPT - WAVES :])
 
     def _begin(self, inputs: LawInputs) -> None:
         """The axis rests, held by its drive or brake until the first command arrives; so does the reference."""
@@ -281,6 +290,8 @@ class PreslidingKalman(Law):
             d = d - memory.steps[1]  # as it is after the sample
             self._repeat(memory, inputs)
         learn = select(moves, inputs.fresh, zeros_like(inputs.fresh)) * self._open
+        if self._wave.anywhere:
+            self._wave.learn(innovation, learn, self._weights.calm(), self._gains)
         self._weights.learn(q + observer.seen, innovation, learn, self._gains)
         if tick == TAKEN_OVER:
             observer.f = copy(self._short)
@@ -341,6 +352,8 @@ class PreslidingKalman(Law):
         mass = model.mass + self._weights.mass()
         smooth = mass * a + (model.viscous + model.quadratic * abs(v)) * v + model.gravity
         wanted = smooth + friction + table
+        if self._wave.anywhere:
+            wanted = wanted + self._wave.force(place, 0.5 + turned)
         if self._memory is not None:
             wanted = wanted + self._learnt
         motion = self._motion
