@@ -63,6 +63,9 @@ class LimitsConfig(Table):
     )
 
 
+LEAST_PERIOD = 1e-6  # m (rad)
+
+
 class ModelConfig(Table):
     """[axes.NAME.model]: the nominal model of an axis, which the laws, the estimator and `hil check` calculate with."""
 
@@ -116,6 +119,8 @@ class ModelConfig(Table):
     def _a_range(self) -> "ModelConfig":
         if self.presliding and (len(self.presliding) != 2 or self.presliding[0] > self.presliding[1]):
             raise ValueError(f"presliding = {self.presliding}: allowed: [least, greatest], or an empty list")
+        if 0.0 < self.friction_period < LEAST_PERIOD:
+            raise ValueError(f"friction_period = {self.friction_period}: allowed: 0, or {LEAST_PERIOD} and more")
         return self
 
 

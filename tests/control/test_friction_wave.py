@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.control.laws.base import Array
-from hil.control.laws.friction_wave import WAVES, sine
+from hil.control.laws.base import Array, Model
+from hil.control.laws.friction_wave import WAVES, FrictionWave, sine
+from hil.control.laws.motion_observer import MotionModel
 from hil.control.laws.presliding_kalman import KEPT
 from hil.rig.file import load_rig
-from hil.rig.schema import RigConfig
+from hil.rig.schema import ModelConfig, RigConfig
 from hil.studies.evidence.stages import nominal, only, stage_of
 from hil.studies.evidence.trials import LONG, TRIALS, columns, trajectory_of
 from hil.studies.population import run
@@ -85,3 +86,16 @@ def test_a_period_that_the_table_resolves_changes_no_bit() -> None:
     same, other = strokes(stated(X, 4e-3), 5e-3, 1)
     assert same.tolist() == plain.tolist()
     assert np.array(other.law.learnt_state()).tolist() == np.array(batch.law.learnt_state()).tolist()
+
+
+def test_where_a_period_passes_within_a_few_ticks_nothing_is_fed_forward() -> None:
+    wave = FrictionWave(1e-3, 1e-3, 0.5, MotionModel(Model(0.9, 0.5, 0.0, 0.0, 0.0, 2e-4), 1e-3))
+    wave.fill([0.05, 0.0, -0.05, 0.0])
+    assert wave.force(0.25e-3, 0.24e-3, 1.0) == pytest.approx(0.05, rel=1e-3)
+    assert wave.force(0.25e-3, -0.24e-3, 0.0) == pytest.approx(-0.05, rel=1e-3)
+    assert wave.force(0.25e-3, 0.26e-3, 1.0) == 0.0
+
+
+def test_a_period_below_a_micrometre_is_refused() -> None:
+    with pytest.raises(ValueError, match="friction_period = 1e-07: allowed: 0, or 1e-06 and more"):
+        ModelConfig(mass=1.0, friction_period=1e-7)

@@ -21,6 +21,7 @@ COARSEST = 4.0  # pitches of the table: it learns longer periods by itself
 LIMIT = 0.5  # of the friction: an amplitude
 PRIOR, WALK = 0.1, 5e-4  # of the friction: standard deviations at the start, and gained in a period
 NOISE = 0.06  # of the friction: what an innovation has besides
+FASTEST = 0.25  # of the period, that the reference moves in a tick: forces that are held cannot follow faster ones
 ROUNDER = 6755399441055744.0  # 1.5 * 2^52: added and taken away, it leaves the nearest whole number
 SINE = (6.2780687, -15.9589524, 13.8806786)  # of turns and their square, beside what is 0 at 0 and half a turn
 
@@ -28,7 +29,7 @@ Waves = tuple[Number, Number, Number, Number]
 
 
 def sine(turns: Number) -> Number:
-    """sin(2 pi turns), within 3e-4; of up to 1e6 turns."""
+    """sin(2 pi turns), within 3e-4; of up to 1e12 turns."""
     part = turns - ((turns + ROUNDER) - ROUNDER)
     square = part * part
     return part * (1.0 - 4.0 * square) * (SINE[0] + square * (SINE[1] + square * SINE[2]))
@@ -73,10 +74,13 @@ class FrictionWave:
             bounded(values[0], limit), bounded(values[1], limit), bounded(values[2], limit), bounded(values[3], limit),
         )  # fmt: skip
 
-    def force(self, place: Number, turned: Number) -> Number:
-        """What is learnt of the coming interval, N. place: at its middle, m. turned: share of friction forwards, 0 to 1."""
-        turns = place * self._density
-        s, c = sine(turns) * self._there, sine(turns + 0.25) * self._there
+    def force(self, place: Number, way: Number, turned: Number) -> Number:
+        """What is learnt of the coming interval, N. place: at its middle, m. way: of the reference through it, m.
+        turned: friction's share forwards, 0 to 1.
+        """
+        turns, none = place * self._density, zeros_like(self._there)
+        there = select(abs(way) * self._density < FASTEST, self._there, none)
+        s, c = sine(turns) * there, sine(turns + 0.25) * there
         back = 1.0 - turned
         self._coming = (turned * s, turned * c, back * s, back * c)
         w, z = self._amplitudes, self._coming

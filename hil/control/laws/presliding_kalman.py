@@ -353,7 +353,7 @@ class PreslidingKalman(Law):
         smooth = mass * a + (model.viscous + model.quadratic * abs(v)) * v + model.gravity
         wanted = smooth + friction + table
         if self._wave.anywhere:
-            wanted = wanted + self._wave.force(place, 0.5 + turned)
+            wanted = wanted + self._wave.force(place, q1 - q0, 0.5 + turned)
         if self._memory is not None:
             wanted = wanted + self._learnt
         motion = self._motion
