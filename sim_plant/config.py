@@ -80,7 +80,8 @@ class SwitchConfig(Table):
     )
     index: Position | None = key(
         None,
-        "the encoder's index: once it has been passed the drive counts from there and says homed",
+        "the encoder's index: once it has been passed the drive counts from there and says homed, or its touch probe "
+        "has latched where it counts there; dead and stuck contacts give no pulse",
         "m (rad)",
         exclude_if=lambda place: place is None,
     )

@@ -74,11 +74,11 @@ def is_straight(mountings: Sequence[Mounting]) -> bool:
 
 
 class MountedHost:
-    """A HostProtocol in the terms of the axes, on one in the terms of the drives (`layout`)."""
+    """A HostProtocol in the terms of the axes, on one in the terms of the drives (`layout`). mountings: theirs."""
 
     def __init__(self, layout: HostProtocol, mountings: Sequence[Mounting]) -> None:
         self.layout = layout
-        self._mountings = list(mountings)
+        self.mountings = list(mountings)
         self.name, self.n_axes = layout.name, layout.n_axes
         self.sequence_modulus, self.checksum = layout.sequence_modulus, layout.checksum
         self.states, self.causes, self.state_ns = layout.states, layout.causes, layout.state_ns
@@ -102,14 +102,14 @@ class MountedHost:
         if isinstance(outcome, Reject):
             return outcome
         for sample in (outcome,) if isinstance(outcome, Sample) else outcome:
-            mounting = self._mountings[sample.axis]
+            mounting = self.mountings[sample.axis]
             sample.position = mounting.count_at_axis(sample.position)
             sample.status = mounting.status(sample.status)
         return outcome
 
     def encode(self, command: Command) -> list[Frame]:
         """As the layout's, of what the drives have to make."""
-        force = [mounting.force_at_drive(f) for mounting, f in zip(self._mountings, command.force, strict=True)]
+        force = [mounting.force_at_drive(f) for mounting, f in zip(self.mountings, command.force, strict=True)]
         return self.layout.encode(Command(command.sequence, force, command.enable, command.reset))
 
     def messages(self, period_ns: int) -> list[Message]:

@@ -11,11 +11,14 @@ Rules:
 - A switch counts as closed or open once SURE samples in a row say so; its place is that of the first of them.
 - A switch that is closed at the start is backed off first: the axis stands on it.
 - A stop has to be found twice at the same place. The index and the drive's word need no second look: the drive has
-  counted from there.
+  counted from there, or latched its own position there. Where it latches, the axis begins once the drive looks out, and
+  the drive is asked again once the axis rests at the end of its way.
 """
 
 from enum import IntEnum
 from typing import Final, NamedTuple
+
+from drivers.protocols.finding import Search
 
 HOMING_REQUIRED: Final = "HOMING_REQUIRED"  # in the refusal of who would move an axis that is yet to be homed
 SURE: Final = 3  # samples in a row
@@ -42,6 +45,7 @@ class Why(IntEnum):
     NOT_TOLD = 4
     BEYOND = 5
     TWO_PLACES = 6
+    NO_ANSWER = 7
 
 
 class Terms(NamedTuple):
@@ -64,7 +68,7 @@ class Terms(NamedTuple):
 class Seen(NamedTuple):
     """One axis in one tick. position: m. counts: the same as a number of counts. told: what the drive itself counts.
     fresh: a sample came. closed: its switch. homed: its drive says so. blocked: it pushes against something. ended: its
-    plan.
+    plan. search: what its drive has been asked to find.
     """
 
     position: float
@@ -75,6 +79,7 @@ class Seen(NamedTuple):
     homed: bool
     blocked: bool
     ended: bool
+    search: Search = Search.NONE
 
 
 class Go(NamedTuple):
@@ -100,6 +105,11 @@ class AxisHoming:
         self._start = self._edge = self._first = 0.0
         self._edge_counts = self._same = self._waited = 0
         self._closed = self._leaves = False
+
+    @property
+    def under_way(self) -> bool:
+        """It has been told where to search."""
+        return self.step is Step.SEARCH and self._leaves
 
     def begin(self, position: float) -> None:
         """From rest at `position`, m."""
@@ -129,8 +139,14 @@ class AxisHoming:
             return self._found(seen.counts)
         if by == "absolute":
             return self._found(self.terms.at)
+        if seen.search is Search.FAILED:
+            return self._fail(Why.NO_ANSWER)
+        if seen.search is Search.MISSED:
+            return self._fail(Why.NOT_FOUND)
         if seen.homed:
             return self._found(seen.counts - seen.told)
+        if seen.search is not Search.NONE:  # NOT_FOUND is what the drive says once the axis rests
+            return self._search(seen) if seen.search is Search.RUNNING and not self._leaves else None
         return self._search(seen) if by == "index" else self._fail(Why.NOT_TOLD)
 
     # a switch ---------------------------------------------------------------------------------------------------------

@@ -14,7 +14,8 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.protocols.base import DriveStatus
+from drivers.protocols.base import DriveStatus, HostProtocol
+from drivers.protocols.finding import AxisFinder, Search
 from hil.control.plans.axis_plan import MotionLimits
 from hil.control.plans.course import Course, Stretch
 from hil.control.plans.moves import halt, move
@@ -28,6 +29,7 @@ from hil.cycle.limits import axis_limits, motion_limits
 from hil.cycle.press_watch import PressWatch
 from hil.cycle.sampling import Sampling
 from hil.rig.home_table import LATCH_SPEED, SPEED, TOLD, HomeConfig
+from hil.rig.layout import index_finders
 from hil.rig.schema import RigConfig
 from hil.rig.tables import AxisConfig
 
@@ -44,15 +46,19 @@ class Homing:
     """
 
     def __init__(
-        self, rig: RigConfig, monitor: FaultMonitor, inbox: Inbox, sampling: Sampling, axes: Axes, gate: TorqueGate
-    ) -> None:
+        self, rig: RigConfig, monitor: FaultMonitor, inbox: Inbox, sampling: Sampling, axes: Axes, gate: TorqueGate,
+        layout: HostProtocol,
+    ) -> None:  # fmt: skip
         self._monitor, self._inbox, self._sampling, self._axes, self._gate = monitor, inbox, sampling, axes, gate
         stated = list(rig.axes.values())
         homes = [(number, axis, axis.home) for number, axis in enumerate(stated) if axis.home is not None]
         period_s = rig.period_ns * 1e-9
         self._one = {number: AxisHoming(_terms(axis, home, period_s)) for number, axis, home in homes}
         self._bits = {number: _switch(home) for number, _, home in homes}
-        self._told = frozenset(number for number, _, home in homes if home.by in TOLD)
+        finders = [(rig.axis_names.index(name), found) for name, found in index_finders(rig, layout).items()]
+        self._finders = {number: found for number, found in finders if isinstance(found, AxisFinder)}
+        told = [number for number, _, home in homes if home.by in TOLD]
+        self._told = frozenset(number for number in told if number not in self._finders)
         self._force = {number: home.force or math.inf for number, _, home in homes}
         self._limits = {number: _limits(axis, home, motion_limits(rig)[number]) for number, axis, home in homes}
         self._room = {number: home.farthest or axis.limits.following_error for number, axis, home in homes}
@@ -139,7 +145,10 @@ class Homing:
             self._press[axis].restart()
             sample = self._inbox.samples[axis]
             homed = sample is not None and bool(sample.status & _HOMED)
-            self._sampling.clocks[axis].awaits_index = self._one[axis].terms.by == "index" and not homed
+            if axis in self._finders:
+                self._finders[axis].finder.begin()
+            else:
+                self._sampling.clocks[axis].awaits_index = self._one[axis].terms.by == "index" and not homed
 
     def advance(self) -> int:
         """One tick: the axis that cannot be homed, -1 where none."""
@@ -176,6 +185,8 @@ class Homing:
         for axis, one in self._one.items():
             clock = self._sampling.clocks[axis]
             clock.awaits_index = False
+            if axis in self._finders:
+                self._finders[axis].finder.end()
             self._monitor.travel[axis].restart()
             self._gate.enclose(axis, *self._travel[axis])
             self._gate.bound(axis, math.inf)
@@ -189,15 +200,27 @@ class Homing:
         assert sample is not None
         newest, at = self._course.newest(axis), self._sampling.instants[axis] - self._axes.setpoints.origin[axis]
         blocked = self._press[axis].take(x.position, x.sample.position, x.sample.velocity, self._gate.force[axis])
+        ended = (at - newest.begins) * 1e-9 >= newest.plan.ends
+        told, homed, search = sample.position, bool(sample.status & _HOMED), Search.NONE
+        if axis in self._finders:
+            found = self._finders[axis]
+            search = found.finder.search
+            homed = search is Search.FOUND
+            if homed:
+                told -= found.count
+            elif search is Search.RUNNING and ended and self._one[axis].under_way:
+                found.finder.settle()
+                search = Search.ASKED
         return Seen(
             x.position,
             sample.position + self._sampling.clocks[axis].offset,
-            sample.position,
+            told,
             self._inbox.fresh[axis],
             bool(sample.status & self._bits[axis]),
-            bool(sample.status & _HOMED),
+            homed,
             blocked,
-            (at - newest.begins) * 1e-9 >= newest.plan.ends,
+            ended,
+            search,
         )
 
     def _go(self, axis: int, at: int, go: Go) -> None:

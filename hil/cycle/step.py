@@ -94,7 +94,9 @@ class ControlCycle:
         self.gate = TorqueGate(self.protocol, force_limits(rig))
         self.homing: Homing | None = None
         if any(axis.home is not None for axis in axes):
-            self.homing = Homing(rig, self.monitor, self.inbox, self.sampling, self.axes, self.gate)
+            self.homing = Homing(
+                rig, self.monitor, self.inbox, self.sampling, self.axes, self.gate, self.protocol
+            )  # fmt: skip
         self.supervisor = Supervisor(
             rig, self.monitor, self.inbox, self.sampling, self.axes, self.readings, self.homing
         )  # fmt: skip

@@ -38,9 +38,10 @@ class HomeConfig(Table):
 
     by: By = key(
         REQUIRED,
-        "switch: the home switch; limit: the limit switch in `direction`; index: the axis moves until its drive says "
-        "homed, as it has counted from the encoder's index since; stop: a hard stop, found by force; drive: the drive "
-        "has found it by itself and says homed; absolute: the encoder knows; here: where the axis stands",
+        "switch: the home switch; limit: the limit switch in `direction`; index: the axis moves until its drive has "
+        "latched its position at the encoder's index, or says homed, as it has counted from there since; stop: a hard "
+        "stop, found by force; drive: the drive has found it by itself and says homed; absolute: the encoder knows; "
+        "here: where the axis stands",
     )
     direction: Literal[-1, 1] = key(-1, "in which the axis moves to find it", "1")
     farthest: Positive | None = key(
@@ -56,7 +57,7 @@ class HomeConfig(Table):
         "limits.force",
         "N (N m)",
     )
-    at: float = key(0.0, "position of what is found; of index and drive: where the drive counts 0", "m (rad)")
+    at: float = key(0.0, "position of what is found; of drive: where the drive counts 0", "m (rad)")
     move_to: float | None = key(None, "position where the axis goes at last; not stated: it stays there", "m (rad)")
     order: int = key(0, "axes with the lowest number home first, those of one number together", "1", ge=0, le=9)
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, HostProtocol, LayoutError, tells_of
+from drivers.protocols.finding import AxisFinder, index_finder
 from hil.rig.count_size import size_problems
 from hil.rig.outputs import check_outputs, writers_of
 from hil.rig.schema import RigConfig
@@ -24,7 +25,14 @@ def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
 
 def fitted(rig: RigConfig, layout: HostProtocol) -> HostProtocol:
     """The layout of a rig with the same drives and bus, for what this rig has beside them. Raises LayoutError."""
+    finders = index_finders(rig, layout)
+    for name, finder in finders.items():
+        if isinstance(finder, str):
+            raise LayoutError(f'axes.{name}.home.by = "index": {finder}')
+    by_finder = [f'axes.{name}.home.by = "index"' for name in finders]
     for key, axis, demanded in demands(rig):
+        if key in by_finder:
+            continue
         if missing := demanded & ~tells_of(layout, axis):
             raise LayoutError(
                 f"bus.protocol = {rig.bus.protocol!r}: its answers have no bit for {DriveStatus(missing).name}, which "
@@ -35,6 +43,15 @@ def fitted(rig: RigConfig, layout: HostProtocol) -> HostProtocol:
     check_sensors(rig, layout)
     check_outputs(rig, layout)
     return layout
+
+
+def index_finders(rig: RigConfig, layout: HostProtocol) -> dict[str, AxisFinder | str]:
+    """Of the axes that home on the encoder's index: what their drives find it with, or why they cannot. An axis whose
+    drive counts from the index by itself is not among them.
+    """
+    asked = [name for name, axis in rig.axes.items() if axis.home is not None and axis.home.by == "index"]
+    found = {name: index_finder(layout, rig.axis_names.index(name)) for name in asked}
+    return {name: finder for name, finder in found.items() if finder}
 
 
 def demands(rig: RigConfig) -> list[tuple[str, int, int]]:

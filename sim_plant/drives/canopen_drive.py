@@ -23,6 +23,7 @@ from sim_plant.drives.power_states import TRANSITIONS, PowerCommand, power_comma
 from sim_plant.drives.quirks import NO_QUIRKS, Quirks
 from sim_plant.drives.servo import NEVER_NS, ServoDrive
 from sim_plant.drives.stopping import Ramp, Stop, TorqueRamp
+from sim_plant.drives.touch_probe import TouchProbe
 
 # As plain integers: arithmetic on an enumeration costs a microsecond.
 _WATCHDOG, _ENCODER_FAULT = int(DriveStatus.WATCHDOG), int(DriveStatus.ENCODER_FAULT)
@@ -82,6 +83,7 @@ class Cia402Drive(CanopenNode):
         self._ramp = TorqueRamp()  # what is demanded of the servo, N
         self._stop: Stop | None = None  # under way
         self._own = self.dictionary.own
+        self._probe = self._find_probe()
         self._describe()
         self._install()
         self._bind_dictionary()
@@ -98,6 +100,16 @@ class Cia402Drive(CanopenNode):
         if not self._own and _TORQUE_RATED in self.dictionary.entries:
             self.dictionary.set(_TORQUE_RATED, round(self.servo.rated_force * 1000))
 
+    def _find_probe(self) -> TouchProbe | None:
+        """Only the project's own drive counts anew at its encoder's index."""
+        counter = self.servo.counter
+        if self._own or counter is None:
+            return None
+        index, zero = counter.give_up_index(), counter.zero
+        if key_of(0x60B8) not in self.dictionary.entries:
+            return None
+        return TouchProbe(self.dictionary, None if index is None else (index - zero) / self.servo.resolution)
+
     def switch_off(self) -> None:
         """Out of operation without a fault, as when the input that enables the power stage opens for a moment."""
         self._stop = None
@@ -107,6 +119,8 @@ class Cia402Drive(CanopenNode):
     # hooks of the node ------------------------------------------------------------------------------------------------
 
     def _live(self) -> None:
+        if self._probe is not None and self.servo.counter is not None:
+            self._probe.follow(self.servo.counter.take(self._position()) / self.servo.resolution)
         if self.now_ns >= self._enabling_ns:
             self._enabling_ns = NEVER_NS
             self.state = DriveState.OPERATION_ENABLED

@@ -72,7 +72,7 @@ def installed_servos(
         servo = servos[list(axis_names).index(entry.axis)]
         servo.switches = Switches(**entry.model_dump(exclude={"axis", "zero", "index"}, exclude_none=True))
         if entry.zero is not None or entry.index is not None:
-            servo.counter = Counter(entry.zero or 0.0, entry.index)
+            servo.counter = Counter(entry.zero or 0.0, None if entry.contact in ("dead", "stuck") else entry.index)
     return servos
 
 

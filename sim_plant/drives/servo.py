@@ -90,6 +90,11 @@ class Counter:
         self._index = index
         self._last: float | None = None
 
+    def give_up_index(self) -> float | None:
+        """From now on it counts on at the index, which is another's to look for: where that is, m (rad)."""
+        index, self._index = self._index, None
+        return index
+
     def take(self, position: float) -> float:
         """What it says at a place, both m (rad)."""
         index, last = self._index, self._last

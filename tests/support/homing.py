@@ -76,9 +76,12 @@ def home_once(
     folder: Path,
     keep: Callable[[np.void], None] | None = None,
     places: list[list[float]] | None = None,
+    *,
+    tampered: Callable[[LockstepRun], None] | None = None,
+    run: LockstepRun | None = None,
 ) -> tuple[LockstepRun, Homed]:
     """Until it is homed, or a fault has stopped it. keep: called with the record of every tick. places: true positions
-    of all axes after every tick are added here.
+    of all axes after every tick are added here. tampered: called before every tick of HOMING. run: goes on, READY.
     """
     asked: list[int] = []
 
@@ -88,11 +91,14 @@ def home_once(
         asked.append(index)
         return (CommandKind.HOME,)
 
-    run = LockstepRun(rig, folder, operator=operator)
+    run = run or LockstepRun(rig, folder)
+    run._operator = operator
     start, way, steps, why = float("nan"), 0.0, [Step.NONE], ""
     homing = run.cycle.homing
     assert homing is not None
     while not asked or run.cycle.state in (State.HOMING, State.STOPPING):
+        if tampered is not None and run.cycle.state is State.HOMING:
+            tampered(run)
         record = run.tick().record
         if keep is not None:
             keep(record)

@@ -62,6 +62,12 @@ class Cia402Config(Table):
         "counts as in fault",
         exclude_if=lambda told: not told,
     )
+    touch_probe: bool = key(
+        False,
+        "map 60B9h and 60BAh into TPDO 3 of every drive that has them, sent at every tenth SYNC: an axis that homes on "
+        "its encoder's index stops there. Without it, it goes all of home.farthest, and its drive is asked then",
+        exclude_if=lambda told: not told,
+    )
     write: list[ObjectValue] = key([], "further objects, written in this order before the drive is started")
 
 

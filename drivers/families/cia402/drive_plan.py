@@ -48,7 +48,8 @@ class DrivePlan:
 
     most: thousandths that its file lets 6071h be, either way. limit: the most it may be told. emcy_id: identifier of
     its emergency messages, 0 where it sends none. watched: its answers show its mode. inputs: its TPDO 2 tells its
-    digital inputs. proofs: reads of every place that the plan writes and the file lets be read, and of 6061h where the
+    digital inputs. probe: its TPDO 3 tells its touch probe. no_probe: why it has none that can be asked; empty: it
+    has. proofs: reads of every place that the plan writes and the file lets be read, and of 6061h where the
     file has it; by index.
     """
 
@@ -63,6 +64,8 @@ class DrivePlan:
     planned: list[Planned] = field(default_factory=list)
     watched: bool = False
     inputs: bool = False
+    probe: bool = False
+    no_probe: str = ""
     proofs: list[Step] = field(default_factory=list)
     reasons: list[Reason] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)

@@ -32,9 +32,12 @@ from drivers.families.cia402.drive_plan import Axis, DrivePlan
 from drivers.families.cia402.inputs import LENGTH as INPUTS_LENGTH
 from drivers.families.cia402.inputs import TELLS as INPUTS
 from drivers.families.cia402.inputs import TPDO2_ID, InputWatch
-from drivers.families.cia402.master import HEARTBEAT_TICKS, SERVICE_TICKS, Master
+from drivers.families.cia402.master import HEARTBEAT_TICKS, Master
 from drivers.families.cia402.node import RUNNING, NodeMaster
 from drivers.families.cia402.profile import DRIVE_HEARTBEAT_MS, MASTER_ID, plan_drives
+from drivers.families.cia402.touch_probe import LENGTH as PROBE_LENGTH
+from drivers.families.cia402.touch_probe import TPDO3_ID, TouchProbe, touch_probe
+from drivers.families.cia402.traffic import cia402_messages
 from drivers.frame import ECHO, FD, Frame
 from drivers.native import path as native
 from drivers.protocols.base import OF_DRIVES, Command, DriveStatus, LayoutError, Message, Reject, Sample
@@ -47,6 +50,7 @@ OWN_DRIVE = Cia402Config(eds=[str(cia301.EDS)], write_rated_torque=True, stop_op
 _SIGNIFICANT = 0x6F | cia301.LIMIT_ACTIVE  # bits of the statusword that are looked at
 _FAULT = int(DriveStatus.FAULT)  # of a drive that sends positions before it is configured and read back
 _OURS = cia301.HOMED | cia301.BRAKE  # the project's own drive has these two besides; others use them as they please
+_OWN_WORDS: Final = int(DriveStatus.HOMED | DriveStatus.BRAKE)
 _USUAL: Final = Struct("<IHH")  # of an axis: identifier of its answers, statusword as it is looked at, status
 
 
@@ -189,9 +193,21 @@ class Cia402Host:
         self._rpdo_ids = [cia301.RPDO1_ID + (first if self._shared else node) for node in nodes]
         self._tpdo = Struct("<iHb" if self.plans[0].watched else "<iH")
         inputs = self.plans[0].inputs
-        self.tells: int = OF_DRIVES | INPUTS if inputs else OF_DRIVES
+        own = _OWN_WORDS if cia402_keys(bus).cia402 is None else 0
+        self.tells: int = OF_DRIVES & ~_OWN_WORDS | own | (INPUTS if inputs else 0)
         self._inputs = [InputWatch() for _ in nodes] if inputs else []
         self._input_axis = {TPDO2_ID + node: axis for axis, node in enumerate(nodes)} if inputs else {}
+        probes: list[TouchProbe | str] = [
+            touch_probe(node, plan) for node, plan in zip(self.nodes, self.plans, strict=True)
+        ]
+        # The project's own drive counts from its index and says so.
+        self.index_finders = probes if cia402_keys(bus).cia402 else []
+        told = [plan.probe for plan in self.plans]
+        self._probes = {
+            TPDO3_ID + node: probe
+            for node, probe, tells in zip(nodes, probes, told, strict=True)
+            if tells and isinstance(probe, TouchProbe)
+        }
         self._significant = _SIGNIFICANT if cia402_keys(bus).cia402 else _SIGNIFICANT | _OURS
         self._clock = SamplingClock(n_axes, bus.bitrate, bus.data_bitrate, period_ns)
         self._statuses: dict[int, tuple[DriveState, int] | None] = {}
@@ -248,7 +264,7 @@ class Cia402Host:
 
     def answers(self, frames: Sequence[Frame]) -> bytes:
         """As StageFdHost.answers, of SYNC's echo (axis -1) and the answers behind it that tell the states known."""
-        if _tpdos is None or self._inputs:
+        if _tpdos is None or self._inputs or self._probes:
             return b""
         for node in self.nodes:
             if node.phase is not RUNNING or node.alarms:
@@ -269,9 +285,20 @@ class Cia402Host:
         self._inputs[axis].hear(data, self._tick)
         return Reject.SERVICE
 
+    def _decode_probe(self, probe: TouchProbe, data: bytes, flags: int) -> Reject:
+        if flags & FD:
+            return Reject.WRONG_FORMAT
+        if len(data) != PROBE_LENGTH:
+            return Reject.WRONG_LENGTH
+        probe.hear(data)
+        return Reject.SERVICE
+
     def _decode_service(self, can_id: int, data: bytes, flags: int) -> Reject:
         if can_id in self._input_axis:
             return self._decode_inputs(self._input_axis[can_id], data, flags)
+        probe = self._probes.get(can_id)
+        if probe is not None:
+            return self._decode_probe(probe, data, flags)
         service = self._services.get(can_id)
         if service is None:
             return Reject.OWN_ECHO if can_id in self._own else reject_id(can_id, self._axis, -1)
@@ -348,51 +375,3 @@ def _interpret(word: int) -> tuple[DriveState, int] | None:
     status |= DriveStatus.HOMED if word & cia301.HOMED else 0
     status |= DriveStatus.BRAKE if word & cia301.BRAKE else 0
     return state, int(status)
-
-
-def cia402_messages(nodes: Sequence[int], plans: Sequence[DrivePlan], period_ns: int) -> list[Message]:
-    """Traffic of CiA 402 drives for the schedulability analysis, as it results from their plans."""
-
-    def cyclic(name: str, can_id: int, length: int, sender: str = "host", after: str | None = None) -> Message:
-        return Message(name, can_id, length, False, period_ns, period_ns, 0, sender, after)
-
-    if plans[0].shared:
-        commands = [cyclic("torques", cia301.RPDO1_ID + nodes[0], 2 * len(nodes))]
-    else:
-        commands = [cyclic(f"command {axis}", cia301.RPDO1_ID + node, 4) for axis, node in enumerate(nodes)]
-    return [
-        *commands,
-        cyclic("sync", cia301.SYNC_ID, int(plans[0].counter)),
-        *(
-            cyclic(f"feedback {a}", cia301.TPDO1_ID + node, plans[a].answer_length, f"axis {a}", "sync")
-            for a, node in enumerate(nodes)
-        ),
-        *(
-            cyclic(f"inputs {a}", TPDO2_ID + node, INPUTS_LENGTH, f"axis {a}", "sync")
-            for a, node in enumerate(nodes)
-            if plans[a].inputs
-        ),
-        *service_messages(nodes, [plan.emcy_id for plan in plans], period_ns),
-    ]
-
-
-def service_messages(nodes: Sequence[int], emcy_ids: Sequence[int], period_ns: int) -> list[Message]:
-    """What the master may send at most (an SDO request, or in its place a controlword or heartbeat) and its answer; the
-    drives' heartbeats, and emergencies at the rate of heartbeats."""
-    last = max(nodes)
-    service_ns = SERVICE_TICKS * period_ns
-    slow = DRIVE_HEARTBEAT_MS * 1_000_000
-    sender = f"axis {nodes.index(last)}"
-    return [
-        Message("service", cia301.SDO_REQUEST_ID + last, 8, False, service_ns, service_ns, 0, "host"),
-        Message("answer", cia301.SDO_RESPONSE_ID + last, 8, False, service_ns, slow, 0, sender, "service"),
-        *(
-            Message(f"emergency {a}", can_id, 8, False, slow, slow, 0, f"axis {a}")
-            for a, can_id in enumerate(emcy_ids)
-            if can_id
-        ),
-        *(
-            Message(f"heartbeat {a}", cia301.HEARTBEAT_ID + node, 1, False, slow, slow, 0, f"axis {a}")
-            for a, node in enumerate(nodes)
-        ),
-    ]

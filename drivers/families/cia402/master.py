@@ -116,15 +116,16 @@ class Master:
 
     def _controlwords(self, tick: int, enable: int) -> Frame | None:
         """The controlwords of all drives, where one has to change or had no effect."""
-        words, waiting, running = [], tick - self._reset_tick <= RESET_TICKS, 0
+        words, waiting, running, busy = [], tick - self._reset_tick <= RESET_TICKS, 0, False
         for axis, node in enumerate(self.nodes):
             wanted = bool(enable >> axis & 1)
             words.append(self._controlword(tick, axis, node, wanted))
             if node.phase is RUNNING:
                 running += 1
+                busy = busy or node.errand is not None
                 goal = _GOALS[wanted and self._armed[axis]]
                 waiting = waiting or node.state not in (goal, _FAULT)
-        self._quiet = words == self._words and not waiting and running == len(self.nodes)
+        self._quiet = words == self._words and not waiting and not busy and running == len(self.nodes)
         if not running or self._word_ids is None:
             self._words = words
             return None

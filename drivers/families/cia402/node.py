@@ -24,6 +24,7 @@ from drivers.eds.reader import object_name
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import Abort, DriveState, Emergency, NmtCommand, NmtState
 from drivers.families.cia402.emergency import emergency_words
+from drivers.families.cia402.errand import Errand
 from drivers.families.cia402.sdo import Progress, Step, Transfer, describe_abort
 from drivers.frame import Frame
 from drivers.protocols.base import DriveStatus
@@ -63,7 +64,7 @@ class NodeMaster:
     phase: progress. state: of its power state machine, None before the first TPDO. alarms: DriveStatus bits its
     emergency messages stand for. emergency: the last of them that is not over, for people. problem: why it was refused,
     or that it is silent, for people. answers: to the steps since it was last begun with. values: what was read from it,
-    by index and sub-index.
+    by index and sub-index. errand: accesses while it runs, None where there are none; it ends with the configuration.
     """
 
     def __init__(self, node_id: int, steps: Sequence[Step], *, autostart: bool = False) -> None:
@@ -81,11 +82,13 @@ class NodeMaster:
         self._tick = 0
         self._heard_tick = 0
         self._closing = b""  # of a transfer that is over
+        self.errand: Errand | None = None
+        self._asked_tick = -1
         self.restart()
 
     def restart(self) -> None:
         """The node is to be configured from the start: it booted, or was lost."""
-        self.phase = Phase.CONFIGURE
+        self._enter(Phase.CONFIGURE)
         self.state: DriveState | None = None
         self.alarms = 0
         self.emergency, self._closing = "", b""
@@ -94,8 +97,6 @@ class NodeMaster:
         self._mute: set[int] = set()  # objects that did not answer a write
         self._proving = False  # after a fault
         self._begin(0)
-        self._asked_tick = -1  # of the request not answered yet
-        self._since_tick = self._tick  # of the current phase
 
     # what it says -----------------------------------------------------------------------------------------------------
 
@@ -142,6 +143,8 @@ class NodeMaster:
 
     def on_sdo(self, data: bytes) -> bool:
         """An SDO answer of 8 bytes; False where it is not one to the request that is open."""
+        if self.errand is not None and self.phase is RUNNING:
+            return self.errand.on_answer(data)
         if self._asked_tick < 0 or self.phase is not Phase.CONFIGURE:
             return False
         transfer = self._transfer
@@ -238,6 +241,9 @@ class NodeMaster:
         self._enter(Phase.REFUSED)
 
     def _enter(self, phase: Phase) -> None:
+        if self.errand is not None and phase is not RUNNING:
+            self.errand.fail(f"node {self.node_id} is configured anew")
+            self.errand = None
         self.phase = phase
         self._asked_tick = -1
         self._since_tick = self._tick
@@ -253,6 +259,8 @@ class NodeMaster:
         if self.phase is Phase.RUNNING:
             if tick - self._heard_tick > LOST_TICKS:
                 self.restart()
+            elif self.errand is not None:
+                return self._run(self.errand)
             return None
         if self.phase is Phase.REFUSED:
             if tick - self._since_tick > RETRY_TICKS:
@@ -264,6 +272,12 @@ class NodeMaster:
         if self.phase is Phase.START:
             return None if self._autostart else Frame(cia301.NMT_ID, bytes((NmtCommand.START, self.node_id)))
         return self._frame(self._transfer.request())
+
+    def _run(self, errand: Errand) -> Frame | None:
+        request = errand.request(self._tick)
+        if errand.over:
+            self.errand = None
+        return self._frame(request) if request else None
 
     def _await(self, tick: int) -> Frame | None:
         if tick - self._asked_tick <= SDO_TIMEOUT_TICKS:

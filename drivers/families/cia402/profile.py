@@ -25,6 +25,7 @@ from drivers.families.cia402.config import Cia402Config
 from drivers.families.cia402.drive_plan import FULL_SCALE, Axis, DrivePlan, Planned, Reason
 from drivers.families.cia402.inputs import DIGITAL_INPUTS, TPDO2_ID
 from drivers.families.cia402.sdo import Step
+from drivers.families.cia402.touch_probe import FUNCTION, PLACE, STATUS, SYNCS, TPDO3_ID
 
 MASTER_ID = 127
 DRIVE_HEARTBEAT_MS = 100
@@ -186,12 +187,34 @@ class _Planner:
             can_id = TPDO2_ID + axis.node_id | (self._eds.value(0x1801, 1) or 0) & _NO_RTR
             self._pdo(0x1801, can_id, _AT_SYNC, [self._entry(DIGITAL_INPUTS, 32)])
             self.plan.inputs = True
-        for other in range(2 if self.plan.inputs else 1, _PDOS):
-            can_id = self._eds.value(0x1800 + other, 1) or PDO_INVALID
+        self._touch_probe()
+        used = {0x1800} | ({0x1801} if self.plan.inputs else set()) | ({0x1802} if self.plan.probe else set())
+        for other in range(0x1800, 0x1800 + _PDOS):
+            can_id = PDO_INVALID if other in used else self._eds.value(other, 1) or PDO_INVALID
             if not can_id & PDO_INVALID:
-                self._write(
-                    0x1800 + other, 1, can_id | PDO_INVALID, "optional", "nothing else is to be sent cyclically"
-                )
+                self._write(other, 1, can_id | PDO_INVALID, "optional", "nothing else is to be sent cyclically")
+
+    def _touch_probe(self) -> None:
+        """60B8h to 60BAh, which find the encoder's index; no drive is refused for want of them."""
+        eds = self._eds
+        if not _writable(eds, FUNCTION):
+            self.plan.no_probe = "60B8h is not in the EDS, or read-only: its drive has no touch probe"
+            return
+        told = [(STATUS, 16), (PLACE, 32)]
+        entries = [eds.entry(index) for index, _ in told]
+        if not all(entry is not None and entry.readable for entry in entries):
+            self.plan.no_probe = "60B9h or 60BAh is not in the EDS: its drive's touch probe cannot be read"
+            return
+        mapped = all(entry is not None and entry.mappable for entry in entries)
+        if not self._settings.touch_probe:
+            return
+        if not mapped or eds.entry(0x1802, 1) is None or not _writable(eds, 0x1A02):
+            text = "60B9h and 60BAh cannot be mapped into TPDO 3: its drive is asked for them once the axis rests"
+            self.plan.warnings.append(f"bus.cia402.touch_probe: {text}")
+            return
+        can_id = TPDO3_ID + self._axis.node_id | (eds.value(0x1802, 1) or 0) & _NO_RTR
+        self._pdo(0x1802, can_id, SYNCS, [self._entry(index, bits) for index, bits in told])
+        self.plan.probe = True
 
     def _torque_unit(self) -> None:
         """6076h and 6072h, and what 6071h may be."""
@@ -313,7 +336,7 @@ class _Planner:
             return
         if not fixed:
             self._write(communication, 1, can_id | PDO_INVALID, "required", f"{why}: off while it is mapped")
-        self._write(communication, 2, kind, "required", f"{why}: {'at SYNC' if kind == _AT_SYNC else 'at once'}")
+        self._write(communication, 2, kind, "required", f"{why}: {'at once' if kind == _AT_ONCE else 'at SYNC'}")
         if not fixed:
             self._write(mapping, 0, 0, "required", f"{why}: mapping off")
             for place, entry in enumerate(entries, 1):

@@ -137,6 +137,7 @@ ROWS: Final = (
             "its drive does not say that it is homed",
             "home.move_to is further than home.farthest from where it stood",
             "its stop is found at two places",
+            "its drive refuses what it is told to find it with, or does not answer",
         ),
         cause="the switch is dead, stuck or wired the other way round, or the axis began too far away",
         action=f"watch the switch with hil monitor NAME while it is pressed by hand, check axes.AXIS.home, {RESET}; "

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 from drivers.bus_load.response_time import ErrorModel
 from drivers.bus_load.schedulability import Analysis, analyse, faults_tolerated
 from drivers.config import BusConfig, Wiring
-from drivers.families.cia402.host import Cia402Host, service_messages
+from drivers.families.cia402.host import Cia402Host
+from drivers.families.cia402.traffic import service_messages
 from drivers.protocols.base import Message
 from hil.cli.app import build_app
 from hil.cli.exit_status import EXIT_CONFIG
