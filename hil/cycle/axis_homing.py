@@ -46,12 +46,14 @@ class Why(IntEnum):
     BEYOND = 5
     TWO_PLACES = 6
     NO_ANSWER = 7
+    ERROR = 8
+    TOO_LONG = 9
 
 
 class Terms(NamedTuple):
     """What an axis homes with. direction: -1 or 1. speed, latch_speed: m/s. way: m from where it stands. at: counts,
     position of what is found. move_to: m, or None. resolution: m a count. patience: ticks that a switch which is
-    neither closed nor open is waited for.
+    neither closed nor open is waited for. longest: ticks that a drive may take to home by itself.
     """
 
     by: str
@@ -63,6 +65,7 @@ class Terms(NamedTuple):
     move_to: float | None
     resolution: float
     patience: int
+    longest: int = 0
 
 
 class Seen(NamedTuple):
@@ -143,11 +146,22 @@ class AxisHoming:
             return self._fail(Why.NO_ANSWER)
         if seen.search is Search.MISSED:
             return self._fail(Why.NOT_FOUND)
+        if seen.search is Search.ERROR:
+            return self._fail(Why.ERROR)
         if seen.homed:
             return self._found(seen.counts - seen.told)
+        if by == "drive" and seen.search is not Search.NONE:
+            return self._moved_by_its_drive(seen)
         if seen.search is not Search.NONE:  # NOT_FOUND is what the drive says once the axis rests
             return self._search(seen) if seen.search is Search.RUNNING and not self._leaves else None
         return self._search(seen) if by == "index" else self._fail(Why.NOT_TOLD)
+
+    def _moved_by_its_drive(self, seen: Seen) -> Go | None:
+        """Until it has homed, or is where it may not be."""
+        self._waited += 1
+        if abs(seen.position - self._start) > self.terms.way:
+            return self._fail(Why.NOT_FOUND)
+        return self._fail(Why.TOO_LONG) if self._waited > self.terms.longest else None
 
     # a switch ---------------------------------------------------------------------------------------------------------
 

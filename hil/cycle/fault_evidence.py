@@ -16,7 +16,7 @@ class AxisLimits(NamedTuple):
     braking: float  # m/s^2 the force limit is good for, halved
     force: float
     switches: int = 0  # DriveStatus bits of its limit switches; 0: it has none
-    home_switch: int = 0  # of these, the one it homes on
+    home_switch: int = 0  # of these, those it homes on
     rest_window: float = 3e-5  # m around where it rests
     coasting_s: float = 0.2  # longest that friction takes to stop it
     resolution: float = 1e-7  # m per count

@@ -5,6 +5,9 @@ Rules:
 - Before an axis is homed, its positions mean nothing. `farthest`, speed and force alone bound it: the gate and the
   detectors hold it to the way around where it stands, and every plan ends at rest inside that.
 - Positions are those of before until all axes are done and without torque. Then they are shifted by whole counts.
+- A drive that homes by itself does so alone, under no torque of the host. Its axis is held to the same way, and to a
+  time. Whatever ends that before its time disables all drives at once: no damped stop acts on an axis that its drive
+  moves. Its counts begin anew once on the way; positions go on where the axis is.
 - An axis is no longer homed once its encoder's counts cannot be trusted: it was silent or at fault, it jumped, the
   drive says that it is not homed, or another process controls the rig. As long as the drive answers it counts on,
   whether it applies torque or not.
@@ -15,8 +18,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from drivers.protocols.base import DriveStatus, HostProtocol
-from drivers.protocols.finding import AxisFinder, Search
-from hil.control.plans.axis_plan import MotionLimits
+from drivers.protocols.finding import AxisFinder, AxisHomer, HomingTerms, Search
+from hil.control.plans.axis_plan import AxisPlan, MotionLimits
 from hil.control.plans.course import Course, Stretch
 from hil.control.plans.moves import halt, move
 from hil.cycle.axes import Axes
@@ -29,20 +32,23 @@ from hil.cycle.limits import axis_limits, motion_limits
 from hil.cycle.press_watch import PressWatch
 from hil.cycle.sampling import Sampling
 from hil.rig.home_table import LATCH_SPEED, SPEED, TOLD, HomeConfig
-from hil.rig.layout import index_finders
+from hil.rig.layout import drive_homers, index_finders
 from hil.rig.schema import RigConfig
 from hil.rig.tables import AxisConfig
 
 REACH: Final = 0.95  # of `farthest`: where plans end; what is left is for the loop
 FORCE: Final = 0.5  # of what friction and gravity leave of `force`: for the plans' acceleration
 PATIENCE_S: Final = 1.0
+STEP: Final = 3.0  # of the search's speed
+STEP_COUNTS: Final = 20  # beyond both the drive counts anew
+LONGEST_S: Final = 5.0  # that a drive may take for what is no way
 LOST: Final = frozenset({Fault.ENCODER_LOST, Fault.ENCODER_DEAD, Fault.ENCODER_JUMP, Fault.ENCODER_FAULT})
 _HOMED: Final = int(DriveStatus.HOMED)
 
 
 class Homing:
     """known: by axis, whether it is homed; one that states nothing is. over: all axes are done. running: they are not,
-    and HOMING moves them.
+    and HOMING moves them. handed: by axis, its drive moves it.
     """
 
     def __init__(
@@ -57,8 +63,13 @@ class Homing:
         self._bits = {number: _switch(home) for number, _, home in homes}
         finders = [(rig.axis_names.index(name), found) for name, found in index_finders(rig, layout).items()]
         self._finders = {number: found for number, found in finders if isinstance(found, AxisFinder)}
+        homers = [(rig.axis_names.index(name), found) for name, found in drive_homers(rig, layout).items()]
+        self._homers = {number: found for number, found in homers if isinstance(found, AxisHomer)}
+        self._asked = {number: _asked(axis, home) for number, axis, home in homes if number in self._homers}
+        self._steps = {number: _step(self._one[number].terms, period_s) for number in self._homers}
+        self.handed = [False] * len(stated)
         told = [number for number, _, home in homes if home.by in TOLD]
-        self._told = frozenset(number for number in told if number not in self._finders)
+        self._told = frozenset(number for number in told if number not in self._finders and number not in self._homers)
         self._force = {number: home.force or math.inf for number, _, home in homes}
         self._limits = {number: _limits(axis, home, motion_limits(rig)[number]) for number, axis, home in homes}
         self._room = {number: home.farthest or axis.limits.following_error for number, axis, home in homes}
@@ -147,6 +158,8 @@ class Homing:
             homed = sample is not None and bool(sample.status & _HOMED)
             if axis in self._finders:
                 self._finders[axis].finder.begin()
+            elif axis in self._homers:
+                self._homers[axis].begin(self._asked[axis])
             else:
                 self._sampling.clocks[axis].awaits_index = self._one[axis].terms.by == "index" and not homed
 
@@ -163,6 +176,8 @@ class Homing:
             if go is not None:
                 self._go(axis, at, go)
                 moved = True
+            elif axis in self._homers:
+                moved = self._hand(axis, at) or moved
         if moved:
             self._update()
         elif all(self._one[axis].done for axis in group):
@@ -172,6 +187,27 @@ class Homing:
             else:
                 self.over = True
         return -1
+
+    @property
+    def hands_over(self) -> bool:
+        """A drive moves its axis by itself: no torque of ours would stop that."""
+        return True in self.handed
+
+    def _hand(self, axis: int, at: int) -> bool:
+        """Leave the axis to its drive while that moves it: the setpoint goes where the axis is. Then hold it there."""
+        away = self._homers[axis].homer.search is Search.RUNNING
+        clock = self._sampling.clocks[axis]
+        if away:
+            if not self.handed[axis]:
+                self.handed[axis], clock.rebases = True, self._steps[axis]
+            self._course.add(axis, Stretch(at, AxisPlan(self._axes.measured[axis], 0.0, 0.0)))
+        elif self.handed[axis]:
+            self.handed[axis], clock.rebases = False, 0.0
+            self._axes.rest()
+            self._course = Course(self._axes.measured)
+            self._axes.setpoints.follow(self._course, self._sampling.starts)
+            return True
+        return away
 
     def why(self, axis: int) -> int:
         """Which of HOMING_FAILED's words says what went wrong."""
@@ -187,6 +223,9 @@ class Homing:
             clock.awaits_index = False
             if axis in self._finders:
                 self._finders[axis].finder.end()
+            if axis in self._homers:
+                self._homers[axis].homer.end()
+            self.handed[axis], clock.rebases = False, 0.0
             self._monitor.travel[axis].restart()
             self._gate.enclose(axis, *self._travel[axis])
             self._gate.bound(axis, math.inf)
@@ -202,6 +241,9 @@ class Homing:
         blocked = self._press[axis].take(x.position, x.sample.position, x.sample.velocity, self._gate.force[axis])
         ended = (at - newest.begins) * 1e-9 >= newest.plan.ends
         told, homed, search = sample.position, bool(sample.status & _HOMED), Search.NONE
+        if axis in self._homers:
+            search = self._homers[axis].homer.search
+            homed = search is Search.FOUND
         if axis in self._finders:
             found = self._finders[axis]
             search = found.finder.search
@@ -249,7 +291,27 @@ def _terms(axis: AxisConfig, home: HomeConfig, period_s: float) -> Terms:
         home.move_to,
         axis.encoder_resolution,
         round(PATIENCE_S / period_s),
+        round(_longest(home, speed) / period_s) if home.by_itself else 0,
     )
+
+
+def _longest(home: HomeConfig, speed: float) -> float:
+    """That a drive may take: there and back at the search's speed, once at the last approach's, s."""
+    farthest, slow = home.farthest or 0.0, home.latch_speed or LATCH_SPEED * speed
+    return LONGEST_S + 2.0 * farthest / speed + farthest / slow
+
+
+def _step(terms: Terms, period_s: float) -> float:
+    """What no axis makes in a tick whose drive homes at that speed, m."""
+    return STEP * terms.speed * period_s + STEP_COUNTS * terms.resolution
+
+
+def _asked(axis: AxisConfig, home: HomeConfig) -> HomingTerms:
+    """What its drive is told, at the axis."""
+    speed, count = home.speed or SPEED * axis.limits.speed, axis.encoder_resolution
+    slow = home.latch_speed or LATCH_SPEED * speed
+    acceleration, force = home.acceleration or 0.0, home.force or axis.limits.force
+    return HomingTerms(home.method or 0, speed / count, slow / count, acceleration / count, force)
 
 
 def _switch(home: HomeConfig) -> int:

@@ -51,7 +51,9 @@ def return_forces(rig: RigConfig) -> list[float]:
 
 
 def _home_switch(home: HomeConfig | None) -> int:
-    """The limit switch that the axis homes on."""
+    """The limit switch that the axis homes on; where its drive moves it, either may be."""
+    if home is not None and home.by_itself:
+        return int(LIMITS)
     if home is None or home.by != "limit":
         return 0
     return int(DriveStatus.LIMIT_LOW if home.direction < 0 else DriveStatus.LIMIT_HIGH)

@@ -28,12 +28,13 @@ class SampleClock:
     instant: of the filter's state, ns. latency: from the tick's start to the drive's sampling, averaged, ns. stretch:
     interval since the last sample in periods, where slots were skipped, else 1. trusted: last believed position, m.
     offset: counts added to the drive's. awaits_index: the drive is going to count from the encoder's index, and then
-    says that it is homed.
+    says that it is homed. rebases: m a period: the drive, which homes by itself, counts anew where a step is longer; 0:
+    it does not.
     """
 
     __slots__ = (
         "_average", "_drive", "_inputs", "_map", "_period_ns", "_resolution", "_trusted_ns",
-        "awaits_index", "instant", "known", "latency", "offset", "stretch", "trusted",
+        "awaits_index", "instant", "known", "latency", "offset", "rebases", "stretch", "trusted",
     )  # fmt: skip
 
     def __init__(
@@ -51,6 +52,7 @@ class SampleClock:
         self.trusted, self._trusted_ns = 0.0, 0  # and its instant
         self.offset = 0
         self.awaits_index = False
+        self.rebases = 0.0
 
     def take(
         self,
@@ -77,6 +79,8 @@ class SampleClock:
         self._learn(instant - sent_ns)
         if self.awaits_index and sample.status & _HOMED:
             self._pass_index(sample.position, (instant - self._trusted_ns) * 1e-9)
+        if self.rebases:
+            self._rebase(sample.position, instant)
         position = (sample.position + self.offset) * self._resolution
         if self._map is not None:
             position = self._map.corrected(position)
@@ -102,6 +106,16 @@ class SampleClock:
         by = counts * self._resolution
         self.trusted += by
         return by
+
+    def _rebase(self, told: int, instant: int) -> None:
+        """A step that no axis makes is a new zero; a second one is a fault."""
+        step, periods = (
+            (told + self.offset) * self._resolution - self.trusted,
+            (instant - self._trusted_ns) / self._period_ns,
+        )
+        if abs(step) > self.rebases * max(1.0, periods):
+            self.rebases = 0.0
+            self._pass_index(told, (instant - self._trusted_ns) * 1e-9)
 
     def _pass_index(self, told: int, seconds: float) -> None:
         """The drive's counts begin anew at the index; positions go on where the axis is."""

@@ -231,13 +231,22 @@ class ControlCycle:
             return
         filters, applied, following = self.filters, self.gate.force, state is not State.STOPPING
         released = self.supervisor.released
+        handed = None if self.homing is None or not self.homing.hands_over else self.homing.handed
         for axis, x in enumerate(self.inputs):
             if released is not None:
                 following = not released[axis]
             motion = filters[axis]
-            monitor.check_filter(axis, motion.innovation)
+            moved = handed is not None and handed[axis]  # by its drive, which knows nothing of the setpoint
+            if not moved:
+                monitor.check_filter(axis, motion.innovation)
             monitor.check_motion(
-                axis, x.position, motion.velocity, applied[axis], x.sample, x.end.position, following=following
+                axis,
+                x.position,
+                motion.velocity,
+                applied[axis],
+                x.sample,
+                x.end.position,
+                following=following and not moved,
             )
             if monitor.travel[axis].wide or self._soft[axis]:
                 self._soft[axis] = monitor.travel[axis].wide
@@ -287,6 +296,10 @@ class ControlCycle:
             return self.axes.weights()
         if self.supervisor.commissioning.running:
             return self.supervisor.commissioning.force(self.axes.ahead_velocity())
+        if self.homing is not None and self.homing.hands_over:
+            handed = self.homing.handed  # no torque of ours acts there: what holds the weight when it acts again
+            weights = self.axes.weights()
+            return [weights[axis] if handed[axis] else force for axis, force in enumerate(self._of_law())]
         return self._of_law()
 
     def _of_law(self) -> list[float]:

@@ -168,6 +168,8 @@ class Supervisor:
         if self.fault is Fault.NONE:
             self.fault = fault
         self._axes.distrust()
+        if self.homing is not None and self.homing.hands_over:
+            reaction = max(reaction, Reaction.ZERO)
         self.silent = self.silent or reaction is Reaction.SILENT
         self._handle(Event.FAULT_ZERO if reaction >= Reaction.ZERO else Event.FAULT_STOP, tick)
 
@@ -282,7 +284,8 @@ class Supervisor:
             self._go_out(tick)
         elif state is State.STOPPING:
             elapsed = (tick.now_ns - self._stopping_since_ns) * 1e-9
-            if self.damped_stop.over(self._axes.ahead_velocity(), elapsed):
+            handed = self.homing is not None and self.homing.hands_over
+            if handed or self.damped_stop.over(self._axes.ahead_velocity(), elapsed):
                 self._handle(self._after_stop(tick), tick)
 
     def _await_axes(self, tick: Tick) -> None:

@@ -40,7 +40,8 @@ class HomeConfig(Table):
         REQUIRED,
         "switch: the home switch; limit: the limit switch in `direction`; index: the axis moves until its drive has "
         "latched its position at the encoder's index, or says homed, as it has counted from there since; stop: a hard "
-        "stop, found by force; drive: the drive has found it by itself and says homed; absolute: the encoder knows; "
+        "stop, found by force; drive: the drive has found it by itself and says homed, or finds it now by `method`; "
+        "absolute: the encoder knows; "
         "here: where the axis stands",
     )
     direction: Literal[-1, 1] = key(-1, "in which the axis moves to find it", "1")
@@ -53,9 +54,24 @@ class HomeConfig(Table):
     latch_speed: Positive | None = key(None, "of the last approach; not stated: a tenth of `speed`", "m/s (rad/s)")
     force: Positive | None = key(
         None,
-        "greatest force while the axis homes, above what friction and gravity take; required of a stop; not stated: "
-        "limits.force",
+        "greatest force while the axis homes, above what friction and gravity take; required of a stop and with "
+        "`method`; not stated: limits.force",
         "N (N m)",
+    )
+    method: int | None = key(
+        None,
+        "with by = drive: homing method that the drive is told (CiA 402: 6098h), in the drive's own direction; not "
+        "stated: it has homed by itself",
+        "1",
+        ge=-128,
+        le=127,
+        exclude_if=lambda method: method is None,
+    )
+    acceleration: Positive | None = key(
+        None,
+        "with `method`: that the drive is told",
+        "m/s^2 (rad/s^2)",
+        exclude_if=lambda acceleration: acceleration is None,
     )
     at: float = key(0.0, "position of what is found; of drive: where the drive counts 0", "m (rad)")
     move_to: float | None = key(None, "position where the axis goes at last; not stated: it stays there", "m (rad)")
@@ -64,7 +80,12 @@ class HomeConfig(Table):
     @property
     def moves(self) -> bool:
         """Whether the axis moves while it homes."""
-        return self.by in SEARCHING or self.move_to is not None
+        return self.by in SEARCHING or self.by_itself or self.move_to is not None
+
+    @property
+    def by_itself(self) -> bool:
+        """Whether its drive moves it."""
+        return self.method is not None
 
     def problem(self, limits: Limited, held: float) -> str:
         """What is wrong with it on an axis with these limits; empty where nothing is. held: N that friction and gravity
@@ -73,6 +94,10 @@ class HomeConfig(Table):
         low, high = limits.position
         if self.by == "limit" and not limits.switches:
             return 'home.by = "limit" needs limits.switches = true'
+        if self.by_itself and self.by != "drive":
+            return f'home.method = {self.method} goes with home.by = "drive", not "{self.by}"'
+        if self.by_itself != (self.acceleration is not None):
+            return "home.method and home.acceleration go together: m/s^2 (rad/s^2), that the drive is told"
         if self.moves and self.farthest is None:
             return f'home.farthest is required with home.by = "{self.by}": m (rad), the greatest way of the search'
         if self.farthest is not None and self.farthest > MOST_WAY * (high - low):
@@ -83,8 +108,9 @@ class HomeConfig(Table):
             return f"home.speed = {speed:g} exceeds limits.speed = {limits.speed:g}"
         if self.latch_speed is not None and self.latch_speed > speed:
             return f"home.latch_speed = {self.latch_speed:g} exceeds the speed of the search, {speed:g}"
-        if self.by == "stop" and self.force is None:
-            return f'home.force is required with home.by = "stop": above {held:g}, at most {limits.force:g}'
+        if (self.by == "stop" or self.by_itself) and self.force is None:
+            with_what = "home.method" if self.by_itself else 'home.by = "stop"'
+            return f"home.force is required with {with_what}: above {held:g}, at most {limits.force:g}"
         if self.force is not None and not held < self.force <= limits.force:
             return f"home.force = {self.force:g}: above {held:g} (coulomb and gravity), at most {limits.force:g}"
         if self.move_to is not None and not low <= self.move_to <= high:

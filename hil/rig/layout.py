@@ -4,13 +4,14 @@ from pathlib import Path
 
 from drivers.protocols import host_protocol
 from drivers.protocols.base import DriveStatus, HostProtocol, LayoutError, tells_of
-from drivers.protocols.finding import AxisFinder, index_finder
+from drivers.protocols.finding import AxisFinder, AxisHomer, drive_homer, index_finder
 from hil.rig.count_size import size_problems
 from hil.rig.outputs import check_outputs, writers_of
 from hil.rig.schema import RigConfig
 from hil.rig.sensors import check_sensors, readers_of
 
 LIMITS = DriveStatus.LIMIT_LOW | DriveStatus.LIMIT_HIGH
+_INDEX, _DRIVE = 'home.by = "index"', 'home.by = "drive"'
 HOMED_BY = {"switch": DriveStatus.HOME, "index": DriveStatus.HOMED, "drive": DriveStatus.HOMED}
 
 
@@ -25,13 +26,15 @@ def host_layout(rig: RigConfig, base_dir: Path) -> HostProtocol:
 
 def fitted(rig: RigConfig, layout: HostProtocol) -> HostProtocol:
     """The layout of a rig with the same drives and bus, for what this rig has beside them. Raises LayoutError."""
-    finders = index_finders(rig, layout)
+    finders, homers = index_finders(rig, layout), drive_homers(rig, layout)
     for name, finder in finders.items():
         if isinstance(finder, str):
             raise LayoutError(f'axes.{name}.home.by = "index": {finder}')
-    by_finder = [f'axes.{name}.home.by = "index"' for name in finders]
+    for name, homer in homers.items():
+        if isinstance(homer, str):
+            raise LayoutError(f"axes.{name}.home.method: {homer}")
     for key, axis, demanded in demands(rig):
-        if key in by_finder:
+        if rig.axis_names[axis] in (finders | homers) and key.endswith((_INDEX, _DRIVE)):
             continue
         if missing := demanded & ~tells_of(layout, axis):
             raise LayoutError(
@@ -52,6 +55,12 @@ def index_finders(rig: RigConfig, layout: HostProtocol) -> dict[str, AxisFinder 
     asked = [name for name, axis in rig.axes.items() if axis.home is not None and axis.home.by == "index"]
     found = {name: index_finder(layout, rig.axis_names.index(name)) for name in asked}
     return {name: finder for name, finder in found.items() if finder}
+
+
+def drive_homers(rig: RigConfig, layout: HostProtocol) -> dict[str, AxisHomer | str]:
+    """Of the axes whose drives home by themselves when they are told to: what tells them, or why they cannot."""
+    asked = [name for name, axis in rig.axes.items() if axis.home is not None and axis.home.by_itself]
+    return {name: drive_homer(layout, rig.axis_names.index(name)) for name in asked}
 
 
 def demands(rig: RigConfig) -> list[tuple[str, int, int]]:

@@ -142,6 +142,7 @@ class RigConfig(Table):
             *_sensor_problems(self),
             *clashes(self.outputs),
             *_motion_problems(self),
+            *_homing_problems(self),
             *(self.camera.problems(self.axis_names, self.sensors) if self.camera else []),
             *_family_problems(self),
         ]
@@ -278,6 +279,17 @@ def _motion_problems(rig: RigConfig) -> list[str]:
         return [f"motion.name = {rig.motion.name!r}: it takes the place of a task; task.kind = {rig.task.kind!r}, "
                 "expected 'hold'"]  # fmt: skip
     return []
+
+
+def _homing_problems(rig: RigConfig) -> list[str]:
+    """A drive that moves by itself does so alone: all others are held meanwhile."""
+    orders = [axis.home.order for axis in rig.axes.values() if axis.home is not None]
+    return [
+        f"axes.{name}.home.order = {axis.home.order}: its drive moves it by itself (home.method), so that no other "
+        "axis may have that number"
+        for name, axis in rig.axes.items()
+        if axis.home is not None and axis.home.by_itself and orders.count(axis.home.order) > 1
+    ]
 
 
 def _watchdog_problems(rig: RigConfig) -> list[str]:

@@ -56,8 +56,8 @@ class Cia402Drive(CanopenNode):
 
     node_id: 1 to 127. servo: the drive behind it. position: gives the axis' true position now, m.
     eds: its EDS or DCF file. quirks: in what it differs from it. nmt, state: where the two state machines are.
-    sampled_ns: last SYNC that was answered. Frames are to be given to every node on the bus in the order of reception,
-    each stamped with the reception time, ns.
+    index: place of its encoder's index, m (rad), None where there is none. sampled_ns: last SYNC that was answered.
+    Frames are to be given to every node on the bus in the order of reception, each stamped with the reception time, ns.
     """
 
     fd = False
@@ -83,6 +83,7 @@ class Cia402Drive(CanopenNode):
         self._ramp = TorqueRamp()  # what is demanded of the servo, N
         self._stop: Stop | None = None  # under way
         self._own = self.dictionary.own
+        self.index: float | None = None
         self._probe = self._find_probe()
         self._describe()
         self._install()
@@ -105,7 +106,8 @@ class Cia402Drive(CanopenNode):
         counter = self.servo.counter
         if self._own or counter is None:
             return None
-        index, zero = counter.give_up_index(), counter.zero
+        self.index = index = counter.give_up_index()
+        zero = counter.zero
         if key_of(0x60B8) not in self.dictionary.entries:
             return None
         return TouchProbe(self.dictionary, None if index is None else (index - zero) / self.servo.resolution)

@@ -199,7 +199,7 @@ def _cia402(
     from drivers.families.cia402.cia301 import EDS
     from drivers.families.cia402.config import cia402_keys
     from drivers.families.cia402.host import node_ids
-    from sim_plant.drives.canopen_drive import Cia402Drive  # only CANopen rigs pay for it
+    from sim_plant.drives.homing_drive import HomingDrive  # only CANopen rigs pay for it
     from sim_plant.drives.quirks import stated_quirks
 
     quirks, stated = stated_quirks(config), cia402_keys(bus).cia402
@@ -207,6 +207,6 @@ def _cia402(
     files = files * len(servos) if len(files) == 1 else files
     nodes = node_ids(bus, len(servos))
     return [
-        Cia402Drive(node, servo, position, start_ns, eds=eds, quirks=quirks)
+        HomingDrive(node, servo, position, start_ns, eds=eds, quirks=quirks)
         for node, eds, servo, position in zip(nodes, files, servos, positions, strict=True)
     ]

@@ -262,6 +262,18 @@ def test_after_homing_positions_are_true_and_a_task_begins(tmp_path: Path) -> No
         ('by="stop",farthest=0.1,force=1.0', "home.force = 1: above 1.146 (coulomb and gravity), at most 5"),
         ('by="here",move_to=2.0,farthest=0.1', "home.move_to = 2: inside limits.position, -1.2 to 1.2"),
         ('by="limit",farthest=0.1', 'home.by = "limit" needs limits.switches = true'),
+        ('by="switch",farthest=0.1,method=17,acceleration=1.0', 'home.method = 17 goes with home.by = "drive"'),
+        ('by="drive",farthest=0.1,method=17', "home.method and home.acceleration go together"),
+        ('by="drive",farthest=0.1,acceleration=1.0', "home.method and home.acceleration go together"),
+        ('by="drive",method=17,acceleration=1.0', 'home.farthest is required with home.by = "drive"'),
+        (
+            'by="drive",farthest=0.1,method=17,acceleration=1.0',
+            "home.force is required with home.method: above 1.146, at most 5",
+        ),
+        (
+            'by="drive",farthest=0.1,method=17,acceleration=1.0,force=3.0',
+            "axes.x.home.method: no drive can be told to home over bus.protocol = 'stage_fd'",
+        ),
         ('by="absolute",at=0.1', "home.at: an absolute encoder is corrected by axes.NAME.offset"),
     ],
 )

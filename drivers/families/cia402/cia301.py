@@ -23,6 +23,7 @@ PDO_INVALID = 1 << 31  # in a PDO's COB-ID: not in use
 SYNC_COUNTER_MAX = 240  # 1019h
 TORQUE_MODE = 10  # 6060h: cyclic synchronous torque
 TORQUE_MODE_BIT = 1 << 9  # 6502h
+HOMING_MODE, HOMING_MODE_BIT = 6, 1 << 5  # of the same
 DEVICE_PROFILE = 402  # low word of 1000h
 
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
@@ -117,6 +118,7 @@ SWITCH_ON = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
 HALT = 0x0100
+START_HOMING = 0x0010  # in homing mode
 
 VOLTAGE_ENABLED = 1 << 4  # statusword bits besides the state
 REMOTE = 1 << 9

@@ -48,9 +48,9 @@ class DrivePlan:
 
     most: thousandths that its file lets 6071h be, either way. limit: the most it may be told. emcy_id: identifier of
     its emergency messages, 0 where it sends none. watched: its answers show its mode. inputs: its TPDO 2 tells its
-    digital inputs. probe: its TPDO 3 tells its touch probe. no_probe: why it has none that can be asked; empty: it
-    has. proofs: reads of every place that the plan writes and the file lets be read, and of 6061h where the
-    file has it; by index.
+    digital inputs. probe: its TPDO 3 tells its touch probe. no_probe: why its touch probe cannot be asked, or empty.
+    no_homing: why it cannot home by itself. proofs: reads of every place that the plan writes and the file lets be
+    read, and of 6061h where the file has it; by index.
     """
 
     name: str
@@ -66,6 +66,7 @@ class DrivePlan:
     inputs: bool = False
     probe: bool = False
     no_probe: str = ""
+    no_homing: str = ""
     proofs: list[Step] = field(default_factory=list)
     reasons: list[Reason] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)

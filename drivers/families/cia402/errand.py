@@ -18,10 +18,11 @@ MOST_ASKED: Final = 2
 
 class Errand:
     """over: nothing more is asked. problem: why it did not come to its end, for people; empty where it did. values:
-    what was read, by object.
+    what was read, by object. required: the drive is refused where it does not come to its end.
     """
 
-    def __init__(self, steps: Sequence[Step]) -> None:
+    def __init__(self, steps: Sequence[Step], *, required: bool = False) -> None:
+        self.required = required
         self.problem = ""
         self.values: dict[int, int] = {}
         self.over = not steps

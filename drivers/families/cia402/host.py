@@ -18,6 +18,7 @@ TPDO behind SYNC.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from struct import Struct, pack
 from typing import Any, Final
@@ -29,6 +30,7 @@ from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import DriveState
 from drivers.families.cia402.config import Cia402Config, cia402_keys
 from drivers.families.cia402.drive_plan import Axis, DrivePlan
+from drivers.families.cia402.homing_mode import HomingMode, homing_mode
 from drivers.families.cia402.inputs import LENGTH as INPUTS_LENGTH
 from drivers.families.cia402.inputs import TELLS as INPUTS
 from drivers.families.cia402.inputs import TPDO2_ID, InputWatch
@@ -202,7 +204,14 @@ class Cia402Host:
         ]
         # The project's own drive counts from its index and says so.
         self.index_finders = probes if cia402_keys(bus).cia402 else []
+        gains = [partial(self._gains.__getitem__, axis) for axis in range(n_axes)]
+        homers: list[HomingMode | str] = [
+            homing_mode(*each) for each in zip(self.nodes, self.plans, gains, strict=True)
+        ]
+        self.drive_homers = homers if cia402_keys(bus).cia402 else []
+        self._homers = [homer if isinstance(homer, HomingMode) else None for homer in homers]
         told = [plan.probe for plan in self.plans]
+        self._finders = [probe for probe in probes if isinstance(probe, TouchProbe)]
         self._probes = {
             TPDO3_ID + node: probe
             for node, probe, tells in zip(nodes, probes, told, strict=True)
@@ -254,6 +263,8 @@ class Cia402Host:
             self.master.stir()
         _USUAL.pack_into(self._usual, _USUAL.size * axis, can_id, word & self._significant, status)
         node.on_state(state)
+        if node.away:
+            self._hear_homing(axis, word)
         if mode:
             node.on_mode(mode[0])
         if self._tick and node.phase is not RUNNING:  # who only listens configures nobody
@@ -267,7 +278,7 @@ class Cia402Host:
         if _tpdos is None or self._inputs or self._probes:
             return b""
         for node in self.nodes:
-            if node.phase is not RUNNING or node.alarms:
+            if node.phase is not RUNNING or node.alarms or node.away:
                 return b""
         read, echo_ns, heard = _tpdos(frames, self._usual, self._tpdo.size, self._significant, cia301.SYNC_ID)
         if echo_ns >= 0:
@@ -284,6 +295,12 @@ class Cia402Host:
             return Reject.WRONG_LENGTH
         self._inputs[axis].hear(data, self._tick)
         return Reject.SERVICE
+
+    def _hear_homing(self, axis: int, word: int) -> None:
+        homer = self._homers[axis]
+        self.master.stir()
+        if homer is not None:
+            homer.hear(word)
 
     def _decode_probe(self, probe: TouchProbe, data: bytes, flags: int) -> Reject:
         if flags & FD:
@@ -354,7 +371,9 @@ class Cia402Host:
     @property
     def problems(self) -> list[str]:
         """Why nodes were refused, and what their emergency messages say, for people."""
-        return [text for node in self.nodes for text in (node.problem, node.emergency) if text]
+        asked = [*self._homers, *self._finders]
+        found = [finder.problem for finder in asked if finder is not None and finder.problem]
+        return [*(text for node in self.nodes for text in (node.problem, node.emergency) if text), *found]
 
     def messages(self, period_ns: int) -> list[Message]:
         """The cyclic frames and the service traffic."""

@@ -140,7 +140,7 @@ class Master:
     def _disables(self, words: Sequence[int]) -> bool:
         """Whether any drive that is enabled, or was told to be, is so no longer."""
         return any(
-            word != cia301.ENABLE_OPERATION and (before == cia301.ENABLE_OPERATION or node.state is _ENABLED)
+            not _enables(word) and (_enables(before) or node.state is _ENABLED)
             for word, before, node in zip(words, self._words, self.nodes, strict=True)
         )
 
@@ -155,6 +155,13 @@ class Master:
             return cia301.FAULT_RESET if self._resetting(tick) else cia301.DISABLE_VOLTAGE
         if not wanted:
             self._armed[axis] = True
-        elif self._armed[axis] and state in (_SWITCHED_ON, _ENABLED):
+        elif self._armed[axis] and state is _ENABLED:
+            return cia301.ENABLE_OPERATION | (cia301.START_HOMING if node.homes else 0)
+        elif self._armed[axis] and state is _SWITCHED_ON and not node.away:
             return cia301.ENABLE_OPERATION
         return _CLIMB.get(state, cia301.DISABLE_VOLTAGE)
+
+
+def _enables(word: int) -> bool:
+    """Of a controlword: the drive is to be enabled, whatever else it is to do."""
+    return word >= 0 and word & cia301.ENABLE_OPERATION == cia301.ENABLE_OPERATION

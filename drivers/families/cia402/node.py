@@ -65,6 +65,7 @@ class NodeMaster:
     emergency messages stand for. emergency: the last of them that is not over, for people. problem: why it was refused,
     or that it is silent, for people. answers: to the steps since it was last begun with. values: what was read from it,
     by index and sub-index. errand: accesses while it runs, None where there are none; it ends with the configuration.
+    away: its mode is not the one it was configured with, as it homes by itself. homes: it is told to.
     """
 
     def __init__(self, node_id: int, steps: Sequence[Step], *, autostart: bool = False) -> None:
@@ -83,11 +84,13 @@ class NodeMaster:
         self._heard_tick = 0
         self._closing = b""  # of a transfer that is over
         self.errand: Errand | None = None
+        self.away = self.homes = False
         self._asked_tick = -1
         self.restart()
 
     def restart(self) -> None:
         """The node is to be configured from the start: it booted, or was lost."""
+        self.away = self.homes = False
         self._enter(Phase.CONFIGURE)
         self.state: DriveState | None = None
         self.alarms = 0
@@ -114,7 +117,10 @@ class NodeMaster:
         self.state = state
         if recovered:
             self.alarms, self.emergency = 0, ""
-            self._prove()
+            if self.away:
+                self.restart()
+            else:
+                self._prove()
         self.on_pdo()
 
     def on_pdo(self) -> None:
@@ -125,7 +131,7 @@ class NodeMaster:
 
     def on_mode(self, mode: int) -> None:
         """The mode in a TPDO (6061h)."""
-        if self.phase is Phase.RUNNING and mode != cia301.TORQUE_MODE:
+        if self.phase is Phase.RUNNING and mode != cia301.TORQUE_MODE and not self.away:
             self.refuse(
                 f"6061h = {mode:#x} in its answers; expected {cia301.TORQUE_MODE:#x}: it left the mode it was told"
             )
@@ -244,6 +250,9 @@ class NodeMaster:
         if self.errand is not None and phase is not RUNNING:
             self.errand.fail(f"node {self.node_id} is configured anew")
             self.errand = None
+        if self.away and phase is Phase.START:
+            self.restart()
+            return
         self.phase = phase
         self._asked_tick = -1
         self._since_tick = self._tick
@@ -277,6 +286,10 @@ class NodeMaster:
         request = errand.request(self._tick)
         if errand.over:
             self.errand = None
+            if errand.required:
+                self.away = False
+                if errand.problem:
+                    self.refuse(errand.problem)
         return self._frame(request) if request else None
 
     def _await(self, tick: int) -> Frame | None:

@@ -23,6 +23,7 @@ from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import PDO_INVALID, mapping_entry
 from drivers.families.cia402.config import Cia402Config
 from drivers.families.cia402.drive_plan import FULL_SCALE, Axis, DrivePlan, Planned, Reason
+from drivers.families.cia402.homing_mode import ACCELERATION, METHOD, SPEEDS
 from drivers.families.cia402.inputs import DIGITAL_INPUTS, TPDO2_ID
 from drivers.families.cia402.sdo import Step
 from drivers.families.cia402.touch_probe import FUNCTION, PLACE, STATUS, SYNCS, TPDO3_ID
@@ -188,6 +189,7 @@ class _Planner:
             self._pdo(0x1801, can_id, _AT_SYNC, [self._entry(DIGITAL_INPUTS, 32)])
             self.plan.inputs = True
         self._touch_probe()
+        self._homing()
         used = {0x1800} | ({0x1801} if self.plan.inputs else set()) | ({0x1802} if self.plan.probe else set())
         for other in range(0x1800, 0x1800 + _PDOS):
             can_id = PDO_INVALID if other in used else self._eds.value(other, 1) or PDO_INVALID
@@ -215,6 +217,20 @@ class _Planner:
         can_id = TPDO3_ID + self._axis.node_id | (eds.value(0x1802, 1) or 0) & _NO_RTR
         self._pdo(0x1802, can_id, SYNCS, [self._entry(index, bits) for index, bits in told])
         self.plan.probe = True
+
+    def _homing(self) -> None:
+        """What homing by the drive itself takes: it is bounded by 6072h and by the host's heartbeat, or not begun."""
+        eds, modes = self._eds, self._eds.value(0x6502)
+        needed = [(METHOD, 0), (SPEEDS, 1), (SPEEDS, 2), (ACCELERATION, 0), (cia301.TORQUE_MAX, 0), (cia301.MODE, 0)]
+        for index, subindex in [*needed, (cia301.MODE_DISPLAY, 0), (0x1016, 1)]:
+            entry = eds.entry(index, subindex)
+            if entry is None or not entry.readable or not (entry.writable or index == cia301.MODE_DISPLAY):
+                self.plan.no_homing = (
+                    f"{object_name(index, subindex)} is not in the EDS, or cannot be written and read back"
+                )
+                return
+        if modes is not None and not modes & cia301.HOMING_MODE_BIT:
+            self.plan.no_homing = f"6502h is {modes:#x}: its drive offers no homing mode"
 
     def _torque_unit(self) -> None:
         """6076h and 6072h, and what 6071h may be."""

@@ -138,6 +138,8 @@ ROWS: Final = (
             "home.move_to is further than home.farthest from where it stood",
             "its stop is found at two places",
             "its drive refuses what it is told to find it with, or does not answer",
+            "its drive says that its homing failed",
+            "its drive does not end its homing in time",
         ),
         cause="the switch is dead, stuck or wired the other way round, or the axis began too far away",
         action=f"watch the switch with hil monitor NAME while it is pressed by hand, check axes.AXIS.home, {RESET}; "
