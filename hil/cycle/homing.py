@@ -195,14 +195,16 @@ class Homing:
 
     def _hand(self, axis: int, at: int) -> bool:
         """Leave the axis to its drive while that moves it: the setpoint goes where the axis is. Then hold it there."""
-        away = self._homers[axis].homer.search is Search.RUNNING
-        clock = self._sampling.clocks[axis]
+        search, clock = self._homers[axis].homer.search, self._sampling.clocks[axis]
+        away = search is Search.RUNNING
+        if search is Search.FOUND:
+            clock.rebases = 0.0
         if away:
             if not self.handed[axis]:
                 self.handed[axis], clock.rebases = True, self._steps[axis]
             self._course.add(axis, Stretch(at, AxisPlan(self._axes.measured[axis], 0.0, 0.0)))
         elif self.handed[axis]:
-            self.handed[axis], clock.rebases = False, 0.0
+            self.handed[axis] = False
             self._axes.rest()
             self._course = Course(self._axes.measured)
             self._axes.setpoints.follow(self._course, self._sampling.starts)

@@ -109,13 +109,10 @@ class SampleClock:
 
     def _rebase(self, told: int, instant: int) -> None:
         """A step that no axis makes is a new zero; a second one is a fault."""
-        step, periods = (
-            (told + self.offset) * self._resolution - self.trusted,
-            (instant - self._trusted_ns) / self._period_ns,
-        )
-        if abs(step) > self.rebases * max(1.0, periods):
+        step, elapsed_ns = (told + self.offset) * self._resolution - self.trusted, instant - self._trusted_ns
+        if abs(step) > self.rebases * max(1.0, elapsed_ns / self._period_ns):
             self.rebases = 0.0
-            self._pass_index(told, (instant - self._trusted_ns) * 1e-9)
+            self._pass_index(told, elapsed_ns * 1e-9)
 
     def _pass_index(self, told: int, seconds: float) -> None:
         """The drive's counts begin anew at the index; positions go on where the axis is."""

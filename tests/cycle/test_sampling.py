@@ -246,6 +246,23 @@ def test_counts_that_begin_at_the_index_go_on_where_the_axis_is_by_then() -> Non
     assert (clock.offset, x.position) == (113, pytest.approx(122e-6, rel=1e-12))
 
 
+def test_a_step_that_no_axis_makes_is_a_new_zero_once() -> None:
+    bench = Bench()
+    clock, x = bench.sampling.clocks[0], bench.inputs[0]
+    one_clock(homed=False, stamp_ns=300_000, counts=100, bench=bench)
+    clock.rebases = 50e-6  # m a period
+    one_clock(homed=False, stamp_ns=1_300_000, counts=150, bench=bench)
+    assert (clock.offset, clock.trusted) == (0, pytest.approx(150e-6, rel=1e-12)), "just what an axis may make"
+    one_clock(homed=False, stamp_ns=3_300_000, counts=249, bench=bench)
+    assert clock.offset == 0, "in two periods it may make twice as much"
+    x.velocity_estimate = 0.01
+    one_clock(homed=False, stamp_ns=4_300_000, counts=-1000, bench=bench)
+    assert (clock.offset, clock.rebases) == (1259, 0.0), "10 um further, which are 10 counts"
+    assert x.position == pytest.approx(259e-6, rel=1e-12)
+    one_clock(homed=False, stamp_ns=5_300_000, counts=-500, bench=bench)
+    assert clock.offset == 1259, "a second time it is told as it is"
+
+
 def test_a_place_that_gets_another_count_stays_where_it_is() -> None:
     bench = Bench()
     clock = bench.sampling.clocks[0]

@@ -99,6 +99,23 @@ def test_the_drive_homes_and_comes_back(method: int, within: float, watch_mode: 
     assert written == [method, 500_000, 200_000, 20_000_000]
 
 
+def test_a_drive_that_counts_anew_only_as_it_comes_back_is_followed(tmp_path: Path) -> None:
+    """At home its counts go on; they begin anew once it is back in torque mode, and yet to be told 6072h."""
+    modes: list[int] = []
+
+    def late(run: LockstepRun) -> None:
+        node, counter = node_of(run), run.stage.drives[0].counter
+        assert counter is not None
+        node._is_home = lambda _: setattr(node, "phase", Phase.HALT)  # type: ignore[method-assign]
+        modes.append(node.dictionary.number(cia301.MODE << 8))
+        if modes[-1] == cia301.TORQUE_MODE and cia301.HOMING_MODE in modes:
+            counter.zero = PLACE
+
+    _, homed = homed_on(rig_of(tmp_path), tmp_path, late)
+    assert (homed.fault, homed.known) == (Fault.NONE, True), homed.why
+    assert abs(homed.off) <= 1.001 * COUNT
+
+
 def test_a_limit_switch_that_the_drive_homes_on_is_no_fault(tmp_path: Path) -> None:
     _, homed = homed_on(rig_of(tmp_path, NEGATIVE_SWITCH, switches=True), tmp_path)
     assert (homed.fault, homed.known) == (Fault.NONE, True), homed.why
