@@ -13,27 +13,37 @@ import tempfile
 from pathlib import Path
 
 from hil.cycle.fault_table import Fault
+from tests.drivers.families.cia402.test_homing_mode import rig_of as method_rig
+from tests.drivers.families.cia402.test_touch_probe import rig_of as probe_rig
 from tests.support.homing import FARTHEST, PLACE, Homed, home_once, homing_rig
 
 KINDS = (
     *(("switch", contact) for contact in ("sound", "bouncing", "dead", "stuck", "inverted")),
     *(("limit", contact) for contact in ("sound", "bouncing", "dead", "stuck", "inverted")),
     *((by, "sound") for by in ("index", "stop", "drive", "here", "absolute")),
+    *(("probe", contact) for contact in ("sound", "dead", "stuck")),
+    ("method", "sound"),
 )
 WORKS = ("sound", "bouncing")
-WITHIN = {"index": 1e-7, "drive": 1e-7, "absolute": 1e-7}  # m: a count
+BOUGHT = {"probe": probe_rig, "method": method_rig}  # an index by a touch probe, and by the drive's own homing
+WITHIN = {"index": 1e-7, "probe": 1e-7, "method": 1e-7, "drive": 1e-7, "absolute": 1e-7}  # m: a count
 NEAR = 20e-6  # m
 BEFORE, BEHIND = 0.06, 0.03  # m: how far from the place the table may stand, and how far beyond it
 
 
 def one(by: str, contact: str, draw: random.Random) -> Homed:
     """From a place drawn."""
-    behind = 0.0 if by in ("index", "stop") else BEHIND
+    behind = 0.0 if by in ("index", "stop", *BOUGHT) else BEHIND
     start = PLACE + draw.uniform(-behind, BEFORE)
     if by in ("switch", "limit") and draw.random() < 0.1:
         start = PLACE + draw.uniform(-6e-6, 6e-6)  # on the edge of the switch itself
     with tempfile.TemporaryDirectory() as folder:
-        rig = homing_rig(by, Path(folder), contact=contact, start=start, zero=draw.uniform(-0.05, 0.05))
+        zero = draw.uniform(-0.05, 0.05)
+        if by in BOUGHT:
+            stated = {} if by == "method" else {"contact": contact, "zero": round(zero * 1e7) * 1e-7}
+            rig = BOUGHT[by](Path(folder), start=start, **stated)
+        else:
+            rig = homing_rig(by, Path(folder), contact=contact, start=start, zero=zero)
         _, homed = home_once(rig, Path(folder))
     return homed._replace(off=homed.off + start if by == "here" else homed.off)
 
