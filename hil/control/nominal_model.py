@@ -36,6 +36,7 @@ def rig_model(rig: RigConfig) -> Model:
         third_damping=third[1],
         third_load=third[2],
         friction_period=np.array([a.friction_period for a in axes]),
+        travel=np.array([max(map(abs, axis.limits.position)) for axis in rig.axes.values()]),
     )
 
 

@@ -23,6 +23,7 @@ from hil.control.laws.friction_wave import WAVES, fine
 from hil.control.laws.friction_weights import WEIGHTS
 from hil.control.laws.position_table import HALF, NODES
 from hil.control.laws.presliding_bank import slopes
+from hil.control.nominal_model import rig_model
 from hil.identify.elements import Elements
 from hil.identify.estimate import Array, Estimate
 from hil.identify.experiments import middle
@@ -67,7 +68,10 @@ def with_first_state(text: str, file: Path, findings: Mapping[str, Findings], be
 def state_of(rig: RigConfig, name: str, findings: Findings) -> list[float]:
     """first_state of an axis of the identified rig."""
     axis, at = rig.axes[name], rig.axis_names.index(name)
-    gains = with_defaults(law_class(rig.law).GAINS, rig.law.effective_gains())
+    law = law_class(rig.law)
+    own = law.own_gains(rig_model(rig), rig.period_ns * 1e-9)
+    given = with_defaults(law.GAINS, rig.law.effective_gains())
+    gains = {key: own[key] if value is None else value for key, value in given.items()}
     finest, pitch = (float(np.broadcast_to(gains[key], len(rig.axes))[at]) for key in ("finest", "table_pitch"))
     turning = axis.limits.speed**2 / middle(axis)[1]
     return first_state(

@@ -36,7 +36,8 @@ class Model:
     mass. presliding_least, presliding_greatest: m (rad), Coulomb friction over its stiffness at rest; 0: not stated.
     known: how well mass, mode and lag are measured, 0 (not at all) to 1 (within hil.rig.measured_table.KNOWN).
     second_..., third_...: of two further masses on springs, as the tool's; a frequency of 0: none.
-    friction_period: m (rad), with which friction varies along the travel; 0: not stated.
+    friction_period: m (rad), with which friction varies along the travel; 0: not stated. travel: m (rad) from position
+    0, as far as the axis may go; 0: not stated.
     """
 
     mass: Number
@@ -58,6 +59,7 @@ class Model:
     third_damping: Number = 0.0
     third_load: Number = 0.0
     friction_period: Number = 0.0
+    travel: Number = 0.0
 
 
 def axis_model(whole: Any, index: int) -> Model:
@@ -71,6 +73,7 @@ def axis_model(whole: Any, index: int) -> Model:
         whole.presliding_least, whole.presliding_greatest, whole.known,
         whole.second_frequency, whole.second_damping, whole.second_load,
         whole.third_frequency, whole.third_damping, whole.third_load, whole.friction_period,
+        whole.travel,
     )  # fmt: skip
     return Model(*(value if isinstance(value, float) else float(value[index]) for value in values))
 

@@ -43,7 +43,7 @@ from hil.control.laws.friction_wave import WAVES, FrictionWave
 from hil.control.laws.friction_weights import WEIGHTS, FrictionWeights
 from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver, as_designed
 from hil.control.laws.other_modes import noises, slowed
-from hil.control.laws.position_table import NODES, PositionTable
+from hil.control.laws.position_table import LAST_CELL, NODES, PositionTable
 from hil.control.laws.presliding_bank import RATIO, Bank, averaged, moved, slopes, weighed
 from hil.control.laws.presliding_gains import OF_MODE, of_model, swings_of
 from hil.control.laws.repeat_memory import RepeatMemory
@@ -53,6 +53,7 @@ TAKEN_OVER, SEEN, STARTED = 1, 2, 3  # ticks: the drive takes over; what that di
 REST_PERIODS = 20.0  # until an axis counts as at rest
 MOVED_PERIODS = 200.0  # in motion, until the friction's stiffness counts as known
 STRETCH = 4.0  # s stays within this many times the coarsest reach
+LEAST_PITCH = 1e-3  # m: of the table
 TABLE_LIMIT, LARGEST_STEP = 0.5, 0.2  # of the friction; of the table's change in a period
 CENTRE = 0.125
 CREEPING = 0.5  # of the finest reach: a larger error is an arrival or a step, after which a ramp would overshoot
@@ -112,7 +113,9 @@ class PreslidingKalman(Law):
             tune=_times(0.3, 3.0),
         ),
         "play": Gain(7.5e-9, "m", "motion within it counts as noise"),
-        "table_pitch": Gain(1e-3, "m", "distance of the table's nodes", TINIEST),
+        "table_pitch": Gain(
+            None, "m", "distance of the table's nodes; 1 mm, or so far that it spans the travel", TINIEST
+        ),
         "table_rate": Gain(0.8, "1", "share of the disturbance learnt on the way from node to node; 0: none"),
     }
 
@@ -168,7 +171,9 @@ class PreslidingKalman(Law):
         """See Law."""
         shape, swings = model.mass, swings_of(model, period)
         guided, known = full_like(shape, model.presliding_greatest), full_like(shape, model.known)
-        return slowed({name: of_model(name, swings, guided, known) for name in OF_MODE}, model, period)
+        own = {name: of_model(name, swings, guided, known) for name in OF_MODE}
+        own["table_pitch"] = at_least(full_like(shape, model.travel) * (1.0 / LAST_CELL), LEAST_PITCH)
+        return slowed(own, model, period)
 
     def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
         """See Law."""
