@@ -27,7 +27,13 @@ WEIGHED = 0.06  # of a mass that is found from accelerations, what no block show
 MOST_UNEXPLAINED, LEAST_UNEXPLAINED = 2.0, 0.02  # of what moves leave; of Coulomb friction besides
 LEAST_LOOP = 3  # encoder counts, of the smaller loops
 FULL = 0.9  # of the largest triangle's range of force
-NOT_SEEN = ("mode", "friction_variation", "cogging_amplitude", "cable_stiffness")  # an axis may have none
+NOT_SEEN = (
+    "mode",
+    "mode_beyond",
+    "friction_variation",
+    "cogging_amplitude",
+    "cable_stiffness",
+)  # an axis may have none
 PUSH_OVER_COULOMB = 1.1  # where the push alone has to tell Coulomb friction
 
 
@@ -36,7 +42,8 @@ class Findings:
     """Of one axis: estimates and refusals by quantity; evidence: the hash of each run, by experiment; ended: the faults
     that ended the experiments, empty where none did. To look at: the frequency response, that of the axis fitted to it,
     what the travel showed, loops of position (m) and force (N), and the motion that no fit used (checked). validation:
-    force that is left unexplained, N RMS, in that motion and in `moves`.
+    force that is left unexplained, N RMS, in that motion and in `moves`. slope: of friction over speed, N s/m, by the
+    frequency response.
     """
 
     found: dict[str, Estimate] = field(default_factory=dict)
@@ -51,6 +58,7 @@ class Findings:
     elements: Elements | None = None
     validation: tuple[float, float] | None = None
     checked: Unexplained | None = None
+    slope: Estimate | None = None
 
     @property
     def missing(self) -> list[str]:
@@ -109,7 +117,7 @@ def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, kn
             passes.append(Pass(of.step[part], of.late[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
     findings.response = response_of(passes, of.period, multisine_lines(of.period), base)
     fit = fit_axis(findings.response, of.period, known.mass)
-    findings.fitted = fit.response
+    findings.fitted, findings.slope = fit.response, fit.found["viscous"]
     findings.found |= {name: one for name, one in fit.found.items() if name != "viscous"}
     findings.refused |= fit.refused
     return replace(known, mass=fit.found["mass"].value)
@@ -168,7 +176,26 @@ def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     found, refused, findings.elements = friction_at_rest(record, known.mass, viscous)
     findings.found |= found
     findings.refused |= refused
+    _allow_for_late_friction(findings.found, findings.slope)
     return known
+
+
+def _allow_for_late_friction(found: dict[str, Estimate], slope: Estimate | None) -> None:
+    """Friction that falls with speed (Stribeck) shows in the frequency response, whose slope is then not the viscous
+    friction of moves. A bristle follows its speed out of phase, as a mass would: by sqrt(mass / stiffness), where its
+    damping is what Canudas de Wit and others take (first_state.py).
+    """
+    names = ("mass", "viscous", "coulomb", "presliding")
+    if slope is None or any(name not in found for name in names):
+        return
+    mass, viscous, coulomb, presliding = (found[name].value for name in names)
+    beyond = abs(slope.value - viscous)
+    if beyond < slope.half_width + found["viscous"].half_width:
+        return
+    share = beyond * math.sqrt(mass * presliding / coulomb) / mass
+    for name, one in found.items():
+        if name == "mass" or name.endswith("_load"):
+            found[name] = one._replace(half_width=math.hypot(one.half_width, share * one.value))
 
 
 def _check(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:

@@ -14,23 +14,27 @@ from scipy.optimize import least_squares
 
 from hil.analysis.flexible_plant import AxisDynamics
 from hil.identify.estimate import Array, Estimate, Refused, t95
+from hil.identify.mode_seeds import Stiffness, seeds
+from hil.identify.modes_told import Mode, modes_told
 
 Complex = NDArray[np.complex128]
 LEAST_PAIRS = 4
 LEAST_COHERENCE = 0.9
 LEAST_LINES = 15
-WORST_CHI2 = 20.0
+WORST_CHI2 = (20.0, 20.0, 8.0, 8.0)  # by number of modes: what several leave may be one more
 FLOOR = 2e-3  # least deviation of a line assumed, relative
-# Of an axis' parameters q: log mass, lag and delay together (s), viscous (N s/m), delay; of a mode log Hz, log damping
-# and the logit of its load. STEPS: of the search. SYSTEMATIC: what no pass shows, of times by the rounding of forces
-# and stamps.
-DELAY, RIGID = 3, 4
-STEPS = np.array([0.1, 1e-4, 1.0, 1e-5, 0.1, 0.5, 0.5])
-SYSTEMATIC = np.array([2e-4, 1.2e-6, 0.0, 1.2e-6, 2e-4, 1e-3, 1e-3])
+MOST_MODES = 3
+# Of an axis' parameters q: log mass, lag and delay together (s), viscous (N s/m), delay; of each mode log Hz, log
+# damping and the logit of its load. STEPS: of the search. SYSTEMATIC: what no pass shows, of times by the rounding of
+# forces and stamps.
+DELAY, RIGID, OF_MODE = 3, 4, 3
+STEPS = np.array([0.1, 1e-4, 1.0, 1e-5, *MOST_MODES * (0.1, 0.5, 0.5)])
+SYSTEMATIC = np.array([2e-4, 1.2e-6, 0.0, 1.2e-6, *MOST_MODES * (2e-4, 1e-3, 1e-3)])
 LEAST_DELAY = 3e-6  # s, that is told apart from the lag
-MODE_GAIN = 4.0  # by which a mode must lower chi^2 to be told
-SEEDS = 3
-GRID, LOADS = 60, (0.1, 0.3, 0.6)
+MODE_GAIN = 4.0  # by which modes must lower chi^2 to be told
+NOISE = 1.0  # chi^2 below which nothing is left that another mode could explain
+SEEDS = 2
+LEAST_LOAD, MOST_LOAD = 1e-9, 0.95  # of the mass, that the search may try
 
 
 class Pass(NamedTuple):
@@ -120,12 +124,29 @@ def _of_steps(values: Array, late: Array, angles: Array) -> Complex:
     return spectrum
 
 
+def _by_mode(values: Array) -> list[Array]:
+    """Of parameters q, those of each mode."""
+    return list(values[RIGID:].reshape(-1, OF_MODE))
+
+
+def _hung(q: Array) -> tuple[float, float, float]:
+    """Hz, damping ratio and part of the mass."""
+    load = MOST_LOAD / (1.0 + np.exp(-q[2]))
+    return float(np.exp(q[0])), float(np.exp(q[1])), max(float(load), LEAST_LOAD)
+
+
 def _dynamics(q: Array) -> AxisDynamics:
     mass, lag, viscous = float(np.exp(q[0])), float(abs(q[1] - q[DELAY])) + 1e-7, float(q[2])
-    if q.size == RIGID:
-        return AxisDynamics(mass, lag, viscous=viscous)
-    hertz, damping, load = np.exp(q[RIGID]), np.exp(q[RIGID + 1]), 0.95 / (1.0 + np.exp(-q[RIGID + 2]))
-    return AxisDynamics(mass, lag, float(hertz), float(damping), float(load), viscous)
+    first, *others = [_hung(mode) for mode in _by_mode(q)] or [(0.0, 0.0, 0.0)]
+    return AxisDynamics(mass, lag, *first, viscous)._replace(others=tuple(others))
+
+
+def _parameters(axis: AxisDynamics) -> Array:
+    modes = [
+        (np.log(hertz), np.log(damping), np.log(load / (MOST_LOAD - load)))
+        for hertz, damping, load in ((axis.mode_hz, axis.mode_damping, axis.mode_load), *axis.others)
+    ]
+    return np.array([np.log(axis.mass), axis.lag, axis.viscous, 0.0, *np.ravel(modes)])
 
 
 class _Fit(NamedTuple):
@@ -153,7 +174,7 @@ class _Lines(NamedTuple):
     def fit(self, start: Array, *, delayed: bool = False) -> _Fit:
         """From there; the delay is searched, too, where `delayed`."""
         free = np.flatnonzero(delayed | (np.arange(start.size) != DELAY))
-        scale = STEPS[free]
+        scale = STEPS[: start.size][free]
 
         def placed(values: Array) -> Array:
             q = start.copy()
@@ -166,6 +187,25 @@ class _Lines(NamedTuple):
         jacobian = np.zeros((done.fun.size, start.size))
         jacobian[:, free] = done.jac / scale
         return _Fit(placed(done.x), 2.0 * float(done.cost) / (done.fun.size - free.size), jacobian)
+
+    def best(self, mass_guess: float) -> _Fit:
+        """With as many modes as tell themselves. Whether one more does is judged with the delay searched, too: no mode
+        may stand for a delay. The search begins anew for each number of modes, and where that with one less ended.
+        """
+        best = last = self.fit(np.array([np.log(mass_guess), 2e-4, 0.0, 0.0]))
+        left = self.fit(best.q, delayed=True).chi2
+        for axes in seeds(self.omega, self.response, self.period, float(np.exp(best.q[0])), MOST_MODES):
+            known = [_hung(mode) for mode in _by_mode(last.q)]
+            mass, lag = float(np.exp(last.q[0])), abs(float(last.q[1]))
+            (_, more), *_ = Stiffness(self.omega, self.response, self.period, mass, lag, known).axes(1)
+            begun = [*axes[:SEEDS], more]
+            last = min((self.fit(_parameters(axis)) for axis in begun), key=lambda fit: fit.chi2)
+            chi2 = self.fit(last.q, delayed=True).chi2
+            if chi2 * MODE_GAIN < left and _loads(last.q) < MOST_LOAD:
+                best, left = last, chi2
+            if left < NOISE:
+                break
+        return best
 
     def half_widths(self, fit: _Fit) -> Array:
         """Of each parameter, at 95 %."""
@@ -191,17 +231,15 @@ def fit_axis(measured: Response, period: float, mass_guess: float) -> Axis:
     frequency, g = measured.frequency_hz[good], measured.response[good]
     sigma = np.maximum(measured.deviation[good] / np.abs(g), FLOOR)
     lines = _Lines(2.0 * np.pi * frequency, g, sigma, measured.passes[:, good], period)
-    rigid = best = lines.fit(np.array([np.log(mass_guess), 2e-4, 0.0, 0.0]))
-    for seed in _seeds(frequency, g, rigid.q, period):
-        one = lines.fit(seed)
-        if one.chi2 * MODE_GAIN < rigid.chi2 and one.chi2 < best.chi2:
-            best = one
+    best = lines.best(mass_guess)
     delayed = lines.fit(best.q, delayed=True)
     if abs(delayed.q[DELAY]) > max(LEAST_DELAY, lines.half_widths(delayed)[DELAY]):
         best = delayed
-    if best.chi2 > WORST_CHI2:
+    most = WORST_CHI2[len(_by_mode(best.q))]
+    if best.chi2 > most:
         raise Refused(
-            f"chi^2 {best.chi2:.0f} per degree of freedom (at most {WORST_CHI2:.0f}): no axis of one mode fits"
+            f"chi^2 {best.chi2:.0f} per degree of freedom (at most {most:.0f}): no axis of {MOST_MODES} modes or fewer "
+            "fits"
         )
     found, refused = _told(best.q, lines.half_widths(best), frequency)
     omega = 2.0 * np.pi * measured.frequency_hz
@@ -214,20 +252,10 @@ def _step(jacobian: Array, rest: Array) -> Array:
     return np.asarray(step, dtype=np.float64)
 
 
-def _seeds(frequency: Array, g: Complex, rigid: Array, period: float) -> list[Array]:
-    """Where a fit with a mode begins: the best SEEDS of a grid over frequency and load, each with the mass for it."""
-    omega, log_g = 2.0 * np.pi * frequency, np.log(g)
-    tried: list[tuple[float, Array]] = []
-    for hertz in np.geomspace(frequency[0] * 2.0, frequency[-1], GRID):
-        for load in LOADS:
-            q = np.array([rigid[0], 2e-4, 0.0, 0.0, np.log(hertz), np.log(0.02), np.log(load / (0.95 - load))])
-            with np.errstate(all="ignore"):
-                rest = np.log(_dynamics(q).response(omega, period)) - log_g
-            q[0] += float(np.median(rest.real))
-            size = np.hypot(rest.real - np.median(rest.real), np.angle(np.exp(1j * rest.imag)))
-            tried.append((float(np.minimum(size, 1.0).sum()), q))
-    tried.sort(key=lambda one: one[0])
-    return [q for _, q in tried[:SEEDS]]
+def _loads(q: Array) -> float:
+    """Part of the mass on springs."""
+    axis = _dynamics(q)
+    return axis.mode_load + sum([load for *_, load in axis.others])
 
 
 def _told(q: Array, half: Array, frequency: Array) -> tuple[dict[str, Estimate], dict[str, str]]:
@@ -239,15 +267,16 @@ def _told(q: Array, half: Array, frequency: Array) -> tuple[dict[str, Estimate],
     }
     if q[DELAY]:
         found["delay"] = Estimate(float(q[DELAY]), float(half[DELAY]), "s")
-    refused = {}
-    if q.size == RIGID:
-        refused["mode"] = f"no resonance between {frequency[0]:.0f} and {frequency[-1]:.0f} Hz"
-    elif not frequency[0] < d.mode_hz < frequency[-1]:
-        refused["mode"] = f"{d.mode_hz:.0f} Hz is outside the excited {frequency[0]:.0f} to {frequency[-1]:.0f} Hz"
-    else:
-        of_hertz, of_damping, of_load = half[RIGID:].tolist()
-        found["mode_frequency_hz"] = Estimate(d.mode_hz, d.mode_hz * of_hertz, "Hz")
-        found["mode_damping"] = Estimate(d.mode_damping, d.mode_damping * of_damping, "1")
-        slope = d.mode_load * (1.0 - d.mode_load / 0.95)
-        found["mode_load"] = Estimate(d.mode_load, slope * of_load, "1")
-    return found, refused
+    modes = [_mode(*each) for each in zip(_by_mode(q), _by_mode(half), strict=True)]
+    told, refused = modes_told(modes, float(frequency[0]), float(frequency[-1]))
+    return found | told, refused
+
+
+def _mode(q: Array, half: Array) -> Mode:
+    hertz, damping, load = _hung(q)
+    slope = load * (1.0 - load / MOST_LOAD)
+    return Mode(
+        Estimate(hertz, hertz * float(half[0]), "Hz"),
+        Estimate(damping, damping * float(half[1]), "1"),
+        Estimate(load, slope * float(half[2]), "1"),
+    )

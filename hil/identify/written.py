@@ -10,10 +10,13 @@ import tomlkit
 from tomlkit.items import InlineTable
 
 from hil.identify.estimate import Estimate
+from hil.rig.measured_table import MOST_OTHERS
 
 MODEL_KEYS = (
     "mass", "coulomb", "viscous", "friction_period", "torque_lag", "mode_frequency_hz", "mode_damping", "mode_load",
 )  # fmt: skip
+OF_MODE = ("frequency_hz", "damping", "load")
+OTHER_KEYS = [[f"other_mode_{number}_{key}" for key in OF_MODE] for number in range(1, MOST_OTHERS + 1)]
 DIGITS = 6
 NOT_CHECKED: Mapping[str, tuple[float, float]] = {}
 
@@ -21,6 +24,8 @@ NOT_CHECKED: Mapping[str, tuple[float, float]] = {}
 def model_values(found: Mapping[str, Estimate]) -> dict[str, Any]:
     """Keys of [axes.NAME.model] with their values. The force that holds the axis is minus its gravity."""
     values: dict[str, Any] = {key: _rounded(found[key].value) for key in MODEL_KEYS if key in found}
+    if others := [[_rounded(found[key].value) for key in keys] for keys in OTHER_KEYS if keys[0] in found]:
+        values["other_modes"] = others
     if "constant" in found:
         values["gravity"] = _rounded(-found["constant"].value) + 0.0
     if "presliding" in found:
@@ -46,6 +51,8 @@ def rig_text(
         if not values:
             continue
         model = tables[name]["model"]
+        if "torque_lag" in found and "other_modes" in model:
+            values.setdefault("other_modes", [])  # the frequency response shows none
         before = {key: model.unwrap()[key] for key in values if key in model}
         for key, value in values.items():
             model[key] = value
@@ -64,7 +71,8 @@ def rig_text(
 
 def measured_values(found: Mapping[str, Estimate]) -> dict[str, list[float]]:
     """Keys of [axes.NAME.measured]: value and half width."""
-    named = {key: found[key] for key in (*MODEL_KEYS, "presliding") if key in found}
+    keys = (*MODEL_KEYS, *(key for keys in OTHER_KEYS for key in keys), "presliding")
+    named = {key: found[key] for key in keys if key in found}
     if "constant" in found:
         one = found["constant"]
         named["gravity"] = one._replace(value=-one.value)

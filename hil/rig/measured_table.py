@@ -1,7 +1,7 @@
 """[axes.NAME.measured]: what `hil identify` measured of an axis, and how well; `hil check` goes by it."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field
 
@@ -9,6 +9,14 @@ from drivers.base.keys import Table, key
 
 Measured = Annotated[list[float], Field(min_length=2, max_length=2)]
 BOTH = "value and half width of its 95 % interval"
+MOST_OTHERS = 2  # resonances beside the tool's
+
+
+def _of_other(number: int, what: str, unit: str) -> Measured | None:
+    whole: Measured | None = key(
+        None, f"{what} of model.other_modes[{number - 1}]: {BOTH}", unit, exclude_if=lambda value: value is None
+    )
+    return whole
 
 
 class MeasuredConfig(Table):
@@ -31,6 +39,12 @@ class MeasuredConfig(Table):
     mode_frequency_hz: Measured | None = key(None, f"resonance of the tool: {BOTH}", "Hz")
     mode_damping: Measured | None = key(None, f"damping ratio of that mode: {BOTH}", "1")
     mode_load: Measured | None = key(None, f"the tool's fraction of the moving mass: {BOTH}", "1")
+    other_mode_1_frequency_hz: Measured | None = _of_other(1, "frequency", "Hz")
+    other_mode_1_damping: Measured | None = _of_other(1, "damping ratio", "1")
+    other_mode_1_load: Measured | None = _of_other(1, "fraction of the moving mass", "1")
+    other_mode_2_frequency_hz: Measured | None = _of_other(2, "frequency", "Hz")
+    other_mode_2_damping: Measured | None = _of_other(2, "damping ratio", "1")
+    other_mode_2_load: Measured | None = _of_other(2, "fraction of the moving mass", "1")
     presliding: Measured | None = key(None, f"Coulomb friction over its stiffness at rest: {BOTH}", "m (rad)")
     validation: Measured | None = key(
         None, "force left unexplained, RMS, in a motion that no fit used, and in one that was fitted", "N (N m)"
@@ -52,7 +66,7 @@ def changed(before: MeasuredConfig, now: Mapping[str, Sequence[float]]) -> list[
 
 
 class Tolerances(NamedTuple):
-    """By how much the model of an axis may be off, fractions."""
+    """By how much the model of an axis may be off, fractions. mode: of that resonance which is known least."""
 
     mass: float = 0.2
     mode: float = 0.1
@@ -79,18 +93,23 @@ LEAST = Tolerances(0.02, 0.01, 0.05, 0.1)  # whatever was measured: a stage chan
 SAME = 1e-5  # relative: the model has the measured value
 
 
-def tolerances(model: object, measured: MeasuredConfig | None) -> Tolerances:
-    """Of an axis whose [model] and [measured] these are: the usual ones where nothing was measured."""
+def tolerances(model: Any, measured: MeasuredConfig | None) -> Tolerances:
+    """Of an axis whose [model] and [measured] these are: the usual ones where nothing was measured. A resonance beside
+    the tool's that was not measured counts as well known as the tool's.
+    """
     unknown = Tolerances()
     if measured is None:
         return unknown
     keys = ("mass", "mode_frequency_hz", "torque_lag", "viscous")
-    return Tolerances(
+    of_tool = Tolerances(
         *(
             _tolerance(getattr(model, name), getattr(measured, name), least, default)
             for name, least, default in zip(keys, LEAST, unknown, strict=True)
         )
     )
+    frequencies = (measured.other_mode_1_frequency_hz, measured.other_mode_2_frequency_hz)
+    others = [_tolerance(mode[0], both, 0.0, 0.0) for mode, both in zip(model.other_modes, frequencies, strict=False)]
+    return of_tool._replace(mode=max(of_tool.mode, *others)) if others else of_tool
 
 
 def _tolerance(value: float, measured: list[float] | None, least: float, default: float) -> float:

@@ -1,7 +1,8 @@
 """Identification of hidden stages: `python -m tests.benchmarks.hidden_stages --stages 20`.
 
-Stages are drawn as `hil evidence` draws them. The rig file's model is off by --off in everything, or empty. Prints the
-error of each quantity (median and worst), how often its interval held the truth, and what was refused.
+Stages are drawn as `hil evidence` draws them, with --hard as its hard ones. The rig file's model is off by --off in
+everything, or empty. Prints the error of each quantity (median and worst), how often its interval held the truth, and
+what was refused.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from hil.identify.estimate import Array, Estimate
 from hil.identify.experiments import SWEEP_REACH, Plan
 from hil.identify.frequency_fit import LEAST_COHERENCE, Response
 from hil.identify.lockstep import Trial, identify, in_virtual_time
+from hil.identify.written import OF_MODE
 from hil.rig.file import load_rig
 from hil.rig.schema import AxisConfig, RigConfig
 from hil.rig.shipped import by_name
@@ -29,6 +31,7 @@ from sim_plant.config import PlantConfig
 SWEPT = SWEEP_REACH - 0.053  # of half the travel, at constant speed
 ABSOLUTE = {  # scale, unit
     "torque_lag": (1e6, "us"), "delay": (1e6, "us"), "position_drift": (1e6, "um"), "mode_load": (1.0, ""),
+    "other_mode_1_load": (1.0, ""), "other_mode_2_load": (1.0, ""),
     "friction_variation": (1.0, ""), "friction_phase": (180.0 / math.pi, "deg"),
     "cogging_phase": (180.0 / math.pi, "deg"),
 }  # fmt: skip
@@ -37,14 +40,14 @@ EMPTY = ({"mass": 0.5, "gravity": 0.8}, {"mass": 2.0, "gravity": 1.2})  # what i
 
 
 def hidden(
-    axis: str, seed: int, number: int, mode_hz: float, off: float | None, count: float = 0.0
+    axis: str, seed: int, number: int, mode_hz: float, off: float | None, count: float = 0.0, *, hard: bool = False
 ) -> tuple[RigConfig, dict[str, float]]:
     """A one-axis rig that knows little of its stage, and the stage's truth. count: of the encoder, m (rad); 0: the rig
-    file's.
+    file's. hard: the stage is drawn as those of `hil evidence --hard`.
     """
     other = [f"axes.{axis}.encoder_resolution={count}"] if count else []
     whole = only(nominal(load_rig(by_name("rigs", Path(RIG)), other), mode_hz), [axis])
-    plant = plant_of(whole, seed, number, mode_hz)
+    plant = plant_of(whole, seed, number, mode_hz, hard=hard)
     mine = {key: getattr(whole.plant, key) for key in ("encoder_resolution", "initial_position")}
     known = EMPTY[number % 2] if off is None else dict.fromkeys(TOLD, 1.0 - off)
     told = plant if off is None else whole.axes[axis].model
@@ -94,9 +97,14 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
         "position_drift": 0.0,
         "delay": of("encoder_latency"),
     }
-    for mode in plant.modes:
-        if mode.axis == axis and mode.tool:
-            truth |= {"mode_frequency_hz": mode.frequency_hz, "mode_damping": mode.damping, "mode_load": mode.load}
+    modes = sorted((mode for mode in plant.modes if mode.axis == axis), key=lambda mode: mode.frequency_hz)
+    others = 0
+    for mode in modes:
+        others += not mode.tool
+        name = "mode" if mode.tool else f"other_mode_{others}"
+        truth |= {
+            f"{name}_frequency_hz": mode.frequency_hz, f"{name}_damping": mode.damping, f"{name}_load": mode.load,
+        }  # fmt: skip
     return truth
 
 
@@ -122,8 +130,10 @@ def response_errors(measured: Response, truth: Mapping[str, float], period: floa
     """Of the lines between 10 and 300 Hz that the axis followed: dB and degrees."""
     hertz = measured.frequency_hz
     counts = (hertz >= 10.0) & (hertz <= 300.0) & (measured.coherence > LEAST_COHERENCE)
-    mode = [truth.get(key, 0.0) for key in ("mode_frequency_hz", "mode_damping", "mode_load")]
-    axis = AxisDynamics(truth["mass"], truth["torque_lag"], *mode, truth["viscous"])
+    tool, *others = [
+        tuple(truth.get(f"{name}_{key}", 0.0) for key in OF_MODE) for name in ("mode", "other_mode_1", "other_mode_2")
+    ]
+    axis = AxisDynamics(truth["mass"], truth["torque_lag"], *tool, truth["viscous"])._replace(others=tuple(others))
     ratio = (measured.response / axis.response(2.0 * np.pi * hertz, period))[counts]
     return np.abs(20.0 * np.log10(np.abs(ratio))), np.abs(np.degrees(np.angle(ratio)))
 
@@ -168,13 +178,14 @@ def main() -> None:
     parser.add_argument("--off", type=float, default=0.3, help="share by which the model is too small")
     parser.add_argument("--empty", action="store_true", help="begin with an empty model")
     parser.add_argument("--count", type=float, default=0.0, help="of the encoder, m (rad); 0: the rig file's")
+    parser.add_argument("--hard", action="store_true", help="stages as `hil evidence --hard` draws them")
     words = parser.parse_args()
     errors, followed, ways, faults = Errors(), list[float](), list[float](), 0
     decibels, degrees = list[Array](), list[Array]()
     began_s = time.process_time()
     for number in range(words.first, words.first + words.stages):
         off = None if words.empty else words.off
-        rig, truth = hidden(words.axis, words.seed, number, words.mode, off, words.count)
+        rig, truth = hidden(words.axis, words.seed, number, words.mode, off, words.count, hard=words.hard)
         shares: list[float] = []
 
         def runner(trial: Trial, shares: list[float] = shares) -> tuple[Run, str]:

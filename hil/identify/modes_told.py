@@ -1,0 +1,55 @@
+"""Which of the resonances found is the tool's, and what the others are called."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from hil.identify.estimate import Estimate
+from hil.rig.measured_table import MOST_OTHERS
+
+LEAST_TOOL = 0.1  # of the mass: nothing lighter is taken for the tool
+
+
+class Mode(NamedTuple):
+    """As it rings while the motor is held. load: part of the mass."""
+
+    frequency_hz: Estimate
+    damping: Estimate
+    load: Estimate
+
+    @property
+    def hertz(self) -> float:
+        """Its frequency, Hz."""
+        return self.frequency_hz.value
+
+
+def modes_told(modes: Sequence[Mode], low: float, high: float) -> tuple[dict[str, Estimate], dict[str, str]]:
+    """Quantities by name, and refusals. The heaviest is the tool's, unless it is lighter than LEAST_TOOL; the others
+    are numbered by frequency. low, high: between which frequencies the axis was excited, Hz.
+    """
+    found: dict[str, Estimate] = {}
+    refused: dict[str, str] = {}
+    excited = f"{low:.0f} to {high:.0f} Hz"
+    heaviest = max(modes, key=lambda mode: mode.load.value, default=None)
+    tool = heaviest if heaviest and heaviest.load.value >= LEAST_TOOL else None
+    if heaviest is None:
+        refused["mode"] = f"no resonance in {excited}"
+    elif tool is None:
+        refused["mode"] = f"the heaviest is {heaviest.load.value:.2g} of the mass (a tool: at least {LEAST_TOOL})"
+    elif low < tool.hertz < high:
+        found = _named("mode", tool)
+    else:
+        refused["mode"] = f"{tool.hertz:.0f} Hz is outside the excited {excited}"
+    others = sorted((mode for mode in modes if mode is not tool), key=lambda mode: mode.hertz)
+    inside = [mode for mode in others if low < mode.hertz < high]
+    if beyond := [f"{mode.hertz:.0f} Hz" for mode in others if mode not in inside]:
+        refused["mode_beyond"] = f"{', '.join(beyond)}: outside the excited {excited}"
+    if len(inside) > MOST_OTHERS:
+        refused["other_modes"] = f"{len(inside)} resonances beside the tool's (at most {MOST_OTHERS})"
+        inside = []
+    for number, mode in enumerate(inside, 1):
+        found |= _named(f"other_mode_{number}", mode)
+    return found, refused
+
+
+def _named(name: str, mode: Mode) -> dict[str, Estimate]:
+    return {f"{name}_{key}": value for key, value in mode._asdict().items()}
