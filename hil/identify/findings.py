@@ -14,6 +14,7 @@ from hil.identify.excitation import PERIOD_S, multisine_lines
 from hil.identify.experiments import PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan
 from hil.identify.force_balance import Record, balance
 from hil.identify.frequency_fit import Complex, Pass, Response, fit_axis, response_of
+from hil.identify.late_friction import allow_for_late_friction, viscous_beside
 from hil.identify.places import SpeedPass
 from hil.identify.prediction import AxisForces, Unexplained
 from hil.identify.signals import Signals, signals
@@ -176,26 +177,11 @@ def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     found, refused, findings.elements = friction_at_rest(record, known.mass, viscous)
     findings.found |= found
     findings.refused |= refused
-    _allow_for_late_friction(findings.found, findings.slope)
+    if findings.slope and findings.travel:
+        beside = viscous_beside(findings.travel.speed, findings.travel.friction_at_speed)
+        if beside is not None:
+            allow_for_late_friction(findings.found, findings.slope, beside)
     return known
-
-
-def _allow_for_late_friction(found: dict[str, Estimate], slope: Estimate | None) -> None:
-    """Friction that falls with speed (Stribeck) shows in the frequency response, whose slope is then not the viscous
-    friction of moves. A bristle follows its speed out of phase, as a mass would: by sqrt(mass / stiffness), where its
-    damping is what Canudas de Wit and others take (first_state.py).
-    """
-    names = ("mass", "viscous", "coulomb", "presliding")
-    if slope is None or any(name not in found for name in names):
-        return
-    mass, viscous, coulomb, presliding = (found[name].value for name in names)
-    beyond = abs(slope.value - viscous)
-    if beyond < slope.half_width + found["viscous"].half_width:
-        return
-    share = beyond * math.sqrt(mass * presliding / coulomb) / mass
-    for name, one in found.items():
-        if name == "mass" or name.endswith("_load"):
-            found[name] = one._replace(half_width=math.hypot(one.half_width, share * one.value))
 
 
 def _check(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:

@@ -1,5 +1,6 @@
 """The experiments on a stage that no code of hil moves: the tests' integrator, with the experiments' law around it."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -12,7 +13,7 @@ from hil.identify.lockstep import APPROACH_S, Trial
 from hil.rig.schema import RigConfig
 from hil.runs.api import Run
 from hil.runs.rigs import Rig
-from tests.identify.stages import PERIOD, Array, Bristle, MaxwellSlip, record
+from tests.identify.stages import PERIOD, Array, Bristle, Hung, MaxwellSlip, record
 
 PERIOD_NS = round(PERIOD * 1e9)
 
@@ -22,7 +23,15 @@ class ForeignStage:
     experiment, the greatest following error over its limit.
     """
 
-    def __init__(self, friction: Bristle | MaxwellSlip, mass: float, viscous: float, weight: float = 0.0) -> None:
+    def __init__(
+        self,
+        friction: Bristle | MaxwellSlip,
+        mass: float,
+        viscous: float,
+        weight: float = 0.0,
+        hung: Sequence[Hung] = (),
+    ) -> None:
+        self._hung = hung
         self._friction, self._mass, self._viscous, self._weight = friction, mass, viscous, weight
         self.following: dict[str, float] = {}
 
@@ -31,7 +40,8 @@ class ForeignStage:
         law, way = _law(rig, trial), _reference(trial)
         asked, n = _asked(law, way), round(trial.seconds / PERIOD)
         count = rig.axes[trial.axis].encoder_resolution
-        force, position = record(self._friction, asked, n * PERIOD, self._mass, self._viscous, self._weight, count)
+        own = self._mass, self._viscous, self._weight, count, self._hung
+        force, position = record(self._friction, asked, n * PERIOD, *own)
         error = position - way(np.arange(n) * PERIOD)[0]
         self.following[trial.experiment] = float(np.abs(error).max() / rig.axes[trial.axis].limits.following_error)
         return _as_run(rig, trial.axis, force, position, error), "foreign"

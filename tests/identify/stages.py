@@ -1,12 +1,21 @@
 """Axes to identify, integrated here in small steps: no code of the emulated stage, none of the fits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 PERIOD, FINE = 1e-3, 20
+
+
+Hung = tuple[float, float, float]  # a mass on a spring: Hz on the held motor, damping ratio, part of the mass
+
+
+def _spring(mass: float, hertz: float, damping: float, part: float) -> tuple[float, float, float]:
+    """kg, N/m, N s/m."""
+    load, omega = part * mass, 2.0 * np.pi * hertz
+    return load, load * omega * omega, 2.0 * damping * load * omega
 
 
 class Bristle:
@@ -50,9 +59,13 @@ def record(
     viscous: float = 3.0,
     constant: float = 0.0,
     count: float = 5e-9,
+    hung: Sequence[Hung] = (),
 ) -> tuple[Array, Array]:
     """Force (N) and position (m) at 1 kHz, of an axis under asked(time, position, speed) N, held for each period."""
     x = v = 0.0
+    motor = mass * (1.0 - sum(part for *_, part in hung))
+    springs = [_spring(mass, *each) for each in hung]
+    places, speeds = [0.0] * len(hung), [0.0] * len(hung)
     step = PERIOD / FINE
     forces, positions = [], []
     for k in range(round(seconds / PERIOD)):
@@ -62,6 +75,10 @@ def record(
         positions.append(measured)
         for _ in range(FINE):
             before = v
-            v += (u - friction.force(v, step) - viscous * v - constant) / mass * step
+            pulls = [k * (y - x) + c * (w - v) for (_, k, c), y, w in zip(springs, places, speeds, strict=True)]
+            v += (u - friction.force(v, step) - viscous * v - constant + sum(pulls)) / motor * step
             x += 0.5 * (before + v) * step
+            for i, pull in enumerate(pulls):
+                speeds[i] -= pull / springs[i][0] * step
+                places[i] += speeds[i] * step
     return np.array(forces), np.array(positions)

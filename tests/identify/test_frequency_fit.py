@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.analysis.flexible_plant import AxisDynamics
-from hil.identify.estimate import Refused
+from hil.identify.estimate import Estimate, Refused
 from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
 
 PERIOD, FINE, BASE = 1e-3, 40, 200
@@ -98,13 +98,84 @@ def answered(hertz: np.ndarray, response: np.ndarray) -> Response:
     return Response(hertz, response, deviation, np.ones(hertz.size), passes)
 
 
-def test_an_axis_with_two_resonances_is_refused() -> None:
-    hertz = np.arange(6.0, 390.0, 4.0)
-    one, other = (AxisDynamics(MASS, LAG, mode, 0.02, 0.2, VISCOUS) for mode in (90.0, 210.0))
-    omega = 2.0 * np.pi * hertz
-    both = one.response(omega, PERIOD) + other.response(omega, PERIOD)
-    with pytest.raises(Refused, match=r"chi\^2 \d+ per degree of freedom .at most 20.: no axis of one mode fits"):
-        fit_axis(answered(hertz, both), PERIOD, 0.5)
+HERTZ = np.arange(6.0, 478.0, 4.0)
+TOOL = (123.0, 0.02, 0.3)
+OTHERS = [[(246.0, 0.012, 0.05)], [(246.0, 0.012, 0.05), (412.0, 0.008, 0.03)]]
+
+
+def ringing(*modes: tuple[float, float, float]) -> Response:
+    first, *others = modes
+    axis = AxisDynamics(MASS, LAG, *first, VISCOUS)._replace(others=tuple(others))
+    return answered(HERTZ, axis.response(2.0 * np.pi * HERTZ, PERIOD))
+
+
+def told(found: dict[str, Estimate], name: str) -> tuple[float, ...]:
+    return tuple(found[f"{name}_{key}"].value for key in ("frequency_hz", "damping", "load"))
+
+
+@pytest.mark.parametrize("others", OTHERS)
+def test_resonances_beside_the_tools_are_found(others: list[tuple[float, float, float]]) -> None:
+    axis = fit_axis(ringing(TOOL, *others), PERIOD, 0.5)
+    assert told(axis.found, "mode") == pytest.approx(TOOL, rel=0.01)
+    for number, mode in enumerate(others, 1):
+        assert told(axis.found, f"other_mode_{number}") == pytest.approx(mode, rel=0.02)
+    assert f"other_mode_{len(others) + 1}_load" not in axis.found
+    assert axis.found["mass"].value == pytest.approx(MASS, rel=0.002)
+    assert not axis.refused
+
+
+def test_light_resonances_are_not_taken_for_the_tool() -> None:
+    axis = fit_axis(ringing(*OTHERS[1]), PERIOD, 1.5)
+    assert "0.05 of the mass (a tool: at least 0.1)" in axis.refused["mode"]
+    assert "mode_load" not in axis.found
+    assert told(axis.found, "other_mode_1") == pytest.approx(OTHERS[1][0], rel=0.02)
+    assert told(axis.found, "other_mode_2") == pytest.approx(OTHERS[1][1], rel=0.02)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(6))
+def test_drawn_resonances_are_found_within_their_intervals(seed: int) -> None:
+    """At least 15 Hz apart; of all their quantities nine in ten, and no other."""
+    random = np.random.default_rng(seed)
+    hertz = np.sort(random.uniform(160.0, 440.0, 2))
+    hertz[1] = max(hertz[1], hertz[0] + 15.0)
+    others = [(float(each), random.uniform(0.005, 0.02), random.uniform(0.02, 0.08)) for each in hertz]
+    tool = (random.uniform(60.0, 140.0), 0.02, random.uniform(0.15, 0.4))
+    axis = fit_axis(ringing(tool, *others), PERIOD, 0.6)
+    truth = zip(("mode", "other_mode_1", "other_mode_2"), (tool, *others), strict=True)
+    held = [
+        axis.found[f"{name}_{key}"].holds(value)
+        for name, mode in truth
+        for key, value in zip(("frequency_hz", "damping", "load"), mode, strict=True)
+    ]
+    assert sum(held) >= 8, (tool, others)
+    assert not axis.refused
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(2))
+def test_no_resonance_is_made_of_noise(seed: int) -> None:
+    """Lines that are 0.5 % off, a tenth of which their passes show."""
+    random = np.random.default_rng(seed)
+    for modes, count in (([TOOL], 1), ([TOOL, *OTHERS[0]], 2)):
+        clean = ringing(*modes)
+        noise = 0.005 * (random.normal(size=HERTZ.size) + 1j * random.normal(size=HERTZ.size))
+        axis = fit_axis(clean._replace(response=clean.response * (1.0 + noise)), PERIOD, 0.5)
+        assert sum(name.endswith("_damping") for name in axis.found) == count
+
+
+@pytest.mark.long
+def test_an_axis_with_four_resonances_is_refused() -> None:
+    four = ringing(TOOL, (200.0, 0.01, 0.05), (300.0, 0.01, 0.05), (400.0, 0.01, 0.05))
+    with pytest.raises(Refused, match=r"chi\^2 \d+ per degree of freedom .at most \d+.: no axis of 3 modes or fewer"):
+        fit_axis(four, PERIOD, 0.5)
+
+
+@pytest.mark.long
+def test_three_light_resonances_are_more_than_a_model_has_room_for() -> None:
+    axis = fit_axis(ringing((200.0, 0.01, 0.05), (300.0, 0.01, 0.05), (400.0, 0.01, 0.05)), PERIOD, 0.5)
+    assert axis.refused["other_modes"] == "3 resonances beside the tool's (at most 2)"
+    assert not any(name.startswith("other_mode_") for name in axis.found)
 
 
 def test_a_resonance_beyond_the_lines_is_not_told() -> None:

@@ -13,6 +13,7 @@ from hil.operate.check_loop import measured_notes
 from hil.rig.file import load_rig
 from hil.rig.measured_table import Tolerances, changed
 from hil.rig.shipped import by_name
+from hil.runs.measured_trend import trends
 
 FOUND = {
     "mass": Estimate(1.2345678, 0.001, "kg"),
@@ -68,6 +69,36 @@ def test_a_second_identification_is_written_over_the_first_and_its_changes_are_t
     assert (new.mass, new.date, new.evidence) == ([1.236, 0.001], "2026-02-01", "b")
     assert changed(old, measured_values(again)) == ["mass was 1.2346 +- 0.001, is 1.236 +- 0.001"]
     assert changed(old, measured_values(FOUND)) == []
+
+
+def other(number: int, hertz: float, wide: float) -> dict[str, Estimate]:
+    values = {"frequency_hz": (hertz, wide, "Hz"), "damping": (0.01, 1e-4, "1"), "load": (0.05, 1e-3, "1")}
+    return {f"other_mode_{number}_{key}": Estimate(*one) for key, one in values.items()}
+
+
+def test_resonances_beside_the_tools_are_written_compared_and_bound_the_corners(tmp_path: Path) -> None:
+    source, first, second = by_name("rigs", Path("microscope")), tmp_path / "first.toml", tmp_path / "second.toml"
+    tool = {"torque_lag": Estimate(2e-4, 1e-6, "s"), "mode_frequency_hz": Estimate(196.0, 0.1, "Hz")}
+    found = {**FOUND, **tool, **other(1, 280.0, 0.1), **other(2, 410.0, 12.3)}
+    first.write_text(rig_text(source, {"x": found}, "2026-01-01", "a"), encoding="utf-8")
+    axis = load_rig(first).axes["x"]
+    assert axis.model.other_modes == [[280.0, 0.01, 0.05], [410.0, 0.01, 0.05]]
+    assert axis.measured is not None
+    assert axis.measured.other_mode_2_frequency_hz == [410.0, 12.3]
+    assert axis.tolerances.mode == pytest.approx(0.03), "of the one that is known least"
+    by_hand = load_rig(first, ["axes.x.model.other_modes=[[280.0, 0.01, 0.05]]"])
+    assert by_hand.axes["x"].tolerances.mode == 0.01
+    later = {**FOUND, **tool, **other(1, 283.0, 0.1)}
+    second.write_text(rig_text(first, {"x": later}, "2026-02-01", "b"), encoding="utf-8")
+    assert load_rig(second).axes["x"].model.other_modes == [[283.0, 0.01, 0.05]]
+    assert [one.quantity for one in trends(load_rig(first), load_rig(second)) if one.left] == [
+        "other_mode_1_frequency_hz"
+    ]
+    second.unlink()
+    second.write_text(rig_text(first, {"x": FOUND | tool}, "2026-02-01", "b"), encoding="utf-8")
+    assert load_rig(second).axes["x"].model.other_modes == [], "the frequency response shows none"
+    second.write_text(rig_text(first, {"x": FOUND}, "2026-02-01", "b"), encoding="utf-8")
+    assert len(load_rig(second).axes["x"].model.other_modes) == 2, "nobody has looked"
 
 
 @pytest.mark.long
