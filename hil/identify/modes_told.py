@@ -44,7 +44,8 @@ def modes_told(modes: Sequence[Mode], low: float, high: float) -> tuple[dict[str
     if beyond := [f"{mode.hertz:.0f} Hz" for mode in others if mode not in inside]:
         refused["mode_beyond"] = f"{', '.join(beyond)}: outside the excited {excited}"
     if len(inside) > MOST_OTHERS:
-        refused["other_modes"] = f"{len(inside)} resonances beside the tool's (at most {MOST_OTHERS})"
+        where = ", ".join(f"{mode.hertz:.0f}" for mode in inside)
+        refused["other_modes"] = f"{len(inside)} resonances beside the tool's, at {where} Hz (at most {MOST_OTHERS})"
         inside = []
     for number, mode in enumerate(inside, 1):
         found |= _named(f"other_mode_{number}", mode)

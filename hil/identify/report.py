@@ -49,6 +49,9 @@ def _bode(size: Axes, phase: Axes, one: Findings, kind: str) -> None:
         size.loglog(hertz, np.abs(fitted), label="fitted")
         phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(fitted))))
         turned = np.unwrap(np.angle(fitted)) + np.angle(measured / fitted)  # about a notch, the same branch
+    for quantity, estimate in one.found.items():
+        if quantity.endswith("_frequency_hz"):  # of the tool, or another resonance
+            size.axvline(estimate.value, color="C3", linewidth=0.5)
     phase.semilogx(hertz, np.degrees(turned), ".", color="C0", markersize=3)
     phase.set(xlabel="Hz", ylabel="phase, degrees")
     beside = phase.twinx()

@@ -7,7 +7,7 @@ from rich.table import Table
 
 from hil.identify.estimate import Estimate
 from hil.identify.findings import Findings
-from hil.identify.written import measured_values, model_values
+from hil.identify.written import OTHER_KEYS, measured_values, model_values
 from hil.rig.measured_table import changed
 from hil.rig.schema import RigConfig
 
@@ -53,6 +53,9 @@ def _stated(rig: RigConfig, axis: str, quantity: str) -> str:
     model = rig.axes[axis].model
     if quantity == "constant":
         return f"{0.0 - model.gravity:.5g}"
+    for keys, mode in zip(OTHER_KEYS, model.other_modes, strict=False):
+        if quantity in keys:
+            return f"{mode[keys.index(quantity)]:.5g}"
     value = getattr(model, quantity, None)
     if isinstance(value, list):
         return " to ".join(f"{each:.3g}" for each in value)

@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.analysis.flexible_plant import AxisDynamics
 from hil.identify.estimate import Array, Estimate
-from hil.identify.experiments import SWEEP_REACH, Plan
+from hil.identify.experiments import EXPERIMENTS, SWEEP_REACH, Plan
 from hil.identify.frequency_fit import LEAST_COHERENCE, Response
 from hil.identify.lockstep import Trial, identify, in_virtual_time
 from hil.identify.written import OF_MODE
@@ -179,6 +179,7 @@ def main() -> None:
     parser.add_argument("--empty", action="store_true", help="begin with an empty model")
     parser.add_argument("--count", type=float, default=0.0, help="of the encoder, m (rad); 0: the rig file's")
     parser.add_argument("--hard", action="store_true", help="stages as `hil evidence --hard` draws them")
+    parser.add_argument("--only", default=",".join(EXPERIMENTS), help="experiments, comma-separated")
     words = parser.parse_args()
     errors, followed, ways, faults = Errors(), list[float](), list[float](), 0
     decibels, degrees = list[Array](), list[Array]()
@@ -195,7 +196,8 @@ def main() -> None:
                 ways.append(pushed(run, trial.plan, trial.axis))
             return run, digest
 
-        found = identify(rig, Path("."), [words.axis], lambda text: None, runner=runner)[words.axis]
+        chosen = words.only.split(",")
+        found = identify(rig, Path("."), [words.axis], lambda text: None, chosen, runner)[words.axis]
         errors.add(f"stage {number}", found.found, found.refused, truth)
         followed.append(max(shares))
         if found.response:

@@ -74,11 +74,11 @@ def record(
         forces.append(u)
         positions.append(measured)
         for _ in range(FINE):
-            before = v
+            x += 0.5 * v * step  # half a drift, the forces, half a drift: springs take no damping from such steps
+            places = [y + 0.5 * w * step for y, w in zip(places, speeds, strict=True)]
             pulls = [k * (y - x) + c * (w - v) for (_, k, c), y, w in zip(springs, places, speeds, strict=True)]
             v += (u - friction.force(v, step) - viscous * v - constant + sum(pulls)) / motor * step
-            x += 0.5 * (before + v) * step
-            for i, pull in enumerate(pulls):
-                speeds[i] -= pull / springs[i][0] * step
-                places[i] += speeds[i] * step
+            speeds = [w - pull / load * step for (load, *_), w, pull in zip(springs, speeds, pulls, strict=True)]
+            places = [y + 0.5 * w * step for y, w in zip(places, speeds, strict=True)]
+            x += 0.5 * v * step
     return np.array(forces), np.array(positions)

@@ -174,7 +174,7 @@ def test_an_axis_with_four_resonances_is_refused() -> None:
 @pytest.mark.long
 def test_three_light_resonances_are_more_than_a_model_has_room_for() -> None:
     axis = fit_axis(ringing((200.0, 0.01, 0.05), (300.0, 0.01, 0.05), (400.0, 0.01, 0.05)), PERIOD, 0.5)
-    assert axis.refused["other_modes"] == "3 resonances beside the tool's (at most 2)"
+    assert axis.refused["other_modes"] == "3 resonances beside the tool's, at 200, 300, 400 Hz (at most 2)"
     assert not any(name.startswith("other_mode_") for name in axis.found)
 
 
