@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.identify.estimate import Array, Estimate
 
-GAIN = 4.0  # by which a falling part must lower what a straight line leaves of friction over speed, squared
+GAIN = 1.5  # by which a falling part must lower what a straight line leaves of friction over speed, squared
 TRIED = 40  # speeds at which half of it may be gone, from a tenth of the least measured to the greatest
 
 
