@@ -40,8 +40,8 @@ class ForeignStage:
         law, way = _law(rig, trial), _reference(trial)
         asked, n = _asked(law, way), round(trial.seconds / PERIOD)
         count = rig.axes[trial.axis].encoder_resolution
-        own = self._mass, self._viscous, self._weight, count, self._hung
-        force, position = record(self._friction, asked, n * PERIOD, *own)
+        own = self._mass, self._viscous, self._weight, count
+        force, position = record(self._friction, asked, n * PERIOD, *own, hung=self._hung)
         error = position - way(np.arange(n) * PERIOD)[0]
         self.following[trial.experiment] = float(np.abs(error).max() / rig.axes[trial.axis].limits.following_error)
         return _as_run(rig, trial.axis, force, position, error), "foreign"

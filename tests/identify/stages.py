@@ -59,6 +59,7 @@ def record(
     viscous: float = 3.0,
     constant: float = 0.0,
     count: float = 5e-9,
+    *,
     hung: Sequence[Hung] = (),
 ) -> tuple[Array, Array]:
     """Force (N) and position (m) at 1 kHz, of an axis under asked(time, position, speed) N, held for each period."""
