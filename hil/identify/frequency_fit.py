@@ -20,6 +20,7 @@ from hil.identify.modes_told import Mode, modes_told
 Complex = NDArray[np.complex128]
 LEAST_PAIRS = 4
 LEAST_COHERENCE = 0.9
+WIDEST = 50.0  # of a logarithm
 LEAST_LINES = 15
 WORST_CHI2 = (20.0, 20.0, 8.0, 8.0)  # by number of modes: what several leave may be one more
 FLOOR = 2e-3  # least deviation of a line assumed, relative
@@ -132,11 +133,16 @@ def _by_mode(values: Array) -> list[Array]:
 def _hung(q: Array) -> tuple[float, float, float]:
     """Hz, damping ratio and part of the mass."""
     load = MOST_LOAD / (1.0 + np.exp(-q[2]))
-    return float(np.exp(q[0])), float(np.exp(q[1])), max(float(load), LEAST_LOAD)
+    return _exp(q[0]), _exp(q[1]), max(float(load), LEAST_LOAD)
+
+
+def _exp(logarithm: float) -> float:
+    """Within what a search may try and numbers bear: a mass of 0 has no motion."""
+    return float(np.exp(np.clip(logarithm, -WIDEST, WIDEST)))
 
 
 def _dynamics(q: Array) -> AxisDynamics:
-    mass, lag, viscous = float(np.exp(q[0])), float(abs(q[1] - q[DELAY])) + 1e-7, float(q[2])
+    mass, lag, viscous = _exp(q[0]), float(abs(q[1] - q[DELAY])) + 1e-7, float(q[2])
     first, *others = [_hung(mode) for mode in _by_mode(q)] or [(0.0, 0.0, 0.0)]
     return AxisDynamics(mass, lag, *first, viscous)._replace(others=tuple(others))
 

@@ -185,3 +185,13 @@ def test_a_resonance_beyond_the_lines_is_not_told() -> None:
     assert "is outside the excited 6 to 158 Hz" in fit.refused["mode"]
     assert "mode_frequency_hz" not in fit.found
     assert fit.found["mass"].value == pytest.approx(MASS, rel=0.01)
+
+
+@pytest.mark.parametrize("guess", [5e-324, 1e300])
+def test_a_search_that_goes_astray_ends_in_an_answer_or_a_refusal(guess: float) -> None:
+    """One stage of Z led it to a mass below the least number there is."""
+    measured = response_of(passes(mode=False), PERIOD, LINES, BASE)
+    try:
+        assert np.isfinite(fit_axis(measured, PERIOD, guess).chi2)
+    except Refused as refused:
+        assert "chi^2" in str(refused)
