@@ -214,7 +214,9 @@ class _Lines(NamedTuple):
         return best
 
     def half_widths(self, fit: _Fit) -> Array:
-        """Of each parameter, at 95 %."""
+        """Of each parameter, at 95 %; infinite where the search ended nowhere."""
+        if not np.isfinite(fit.jacobian).all():
+            return np.full(fit.q.size, np.inf)
         steps = np.array([_step(fit.jacobian, -self.rest(fit.q, data)) for data in self.passes])
         m = len(steps)
         spread = steps.std(axis=0, ddof=1) / np.sqrt(m)

@@ -57,10 +57,11 @@ def main() -> None:
     parser.add_argument("--stages", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--hard", action="store_true", help="stages as those of `hil evidence --hard`")
     words = parser.parse_args()
     errors, nominals, corners = [], [], []
     for number in range(words.first, words.first + words.stages):
-        hidden_rig, _ = hidden(words.axis, words.seed, number, words.mode, 0.3)
+        hidden_rig, _ = hidden(words.axis, words.seed, number, words.mode, 0.3, hard=words.hard)
         found = identify(hidden_rig, Path("."), [words.axis], lambda text: None)[words.axis].found
         axes = {words.axis: identified(hidden_rig.axes[words.axis], found)}
         rig = hidden_rig.model_copy(update={"axes": axes})

@@ -44,13 +44,13 @@ def reversal(mover: VirtualMover, axis: str, way: float, rounds: int, speed: flo
     for _ in range(rounds):
         apart = []
         for place in PLACES:
-            means = []
+            arrived = []
             for side in (-APPROACH, APPROACH):
                 to(way * (place + side))
                 to(way * place)
                 mover.sleep(ARRIVED_S)
-                means.append(float(np.mean(seen(WINDOW_S))))
-            apart.append(abs(means[1] - means[0]))
+                arrived.append(float(np.mean(seen(WINDOW_S))))
+            apart.append(abs(arrived[1] - arrived[0]))
         found.append(max(apart))
     return [*found, float(np.std(seen(HOLD_S)))]
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import typer
 
+from hil.control.laws.presliding_kalman import KEPT
 from hil.rig.file import learning_hash, load_rig, rig_hash, without_learnt
 from hil.rig.schema import RigError
 from hil.telemetry.recorder import LockstepRecorder
@@ -114,4 +115,4 @@ def test_a_run_that_learns_nothing_has_nothing_to_keep(tmp_path: Path, capsys: p
 def test_what_was_learnt_of_a_recording_is_one_list_an_axis(kept: tuple[Path, np.ndarray]) -> None:
     rig, state = learnt_of_run(Recording(kept[0] / "run.mcap"))
     assert list(state) == rig.axis_names
-    assert {len(values) for values in state.values()} == {7 + 2 * 63 + 200}
+    assert {len(values) for values in state.values()} == {KEPT + 200}
