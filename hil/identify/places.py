@@ -15,6 +15,7 @@ from hil.identify.force_balance import CORNER_HZ, EDGE_S, lagged
 # Of the travel, left out at the beginning of a pass, as cables that move along take a way to turn; at most of the pass.
 LEAD, MOST_LEAD = 0.08, 0.25
 STALL_S = 0.05, 0.15  # left out before a stall, for the filter, and behind it, until the loop is at rest again
+LEAST_SEEN = 0.1
 PLACES = 240  # along the travel; the force is averaged over each
 SMOOTH_S = math.sqrt(math.log(2.0)) / (2.0 * math.pi * CORNER_HZ)  # standard deviation of the filter
 
@@ -43,10 +44,12 @@ class Points(NamedTuple):
 
 
 def seen(points: Points, length: float) -> Array:
-    """Share of a sinusoid of that length (m) along the travel that filter and places leave of it, (k,)."""
+    """Share of a sinusoid of that length (m) along the travel that filter and places leave of it, (k,). None where they
+    leave less than LEAST_SEEN at any speed.
+    """
     width = float(np.ptp(points.position)) / (PLACES - 1)
     share: Array = np.exp(-0.5 * (2.0 * np.pi * SMOOTH_S * points.velocity / length) ** 2) * np.sinc(width / length)
-    return share
+    return share if np.abs(share).max() >= LEAST_SEEN else np.zeros_like(share)
 
 
 def points_of(passes: Sequence[SpeedPass], period: float, mass: float, lag: float) -> Points:

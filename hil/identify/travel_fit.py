@@ -20,6 +20,7 @@ GAIN = 1.5  # by which a sinusoid along the travel must lower the residual's squ
 LEAST_PARTS, LONGEST = 4.0, 4.0  # periods are searched from the travel over the first squared to this many of it
 # Of friction from travel / FINEST on, as rolling elements pass: so many tried for each period in the travel.
 FINEST, DENSITY = 80.0, 2.5
+WIDEST = 9.0  # of the logarithm of a period over the travel, in the search
 # Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
 SYSTEMATIC = {
     "coulomb": 0.001, "viscous": 0.015, "friction_variation": 0.03, "friction_period": 0.001,
@@ -187,6 +188,7 @@ def _design(points: Points, waves: Sequence[tuple[bool, float]], *, blurred: boo
 def _solve(points: Points, waves: Sequence[tuple[bool, float]]) -> tuple[Array, Array]:
     a = _design(points, waves)
     size = np.sqrt((a * a).mean(axis=1))
+    size[size == 0.0] = 1.0
     x, *_ = np.linalg.lstsq((a / size[:, None]).T, points.force, rcond=1e-9)
     return x / size, points.force - x @ (a / size[:, None])
 
@@ -221,14 +223,19 @@ def _refined(points: Points, waves: Sequence[tuple[bool, float]]) -> list[tuple[
     if not waves:
         return []
     kinds = [odd for odd, _ in waves]
-    size = float(np.sqrt((points.force**2).mean()))
+    size, middle = float(np.sqrt((points.force**2).mean())), math.log(float(np.ptp(points.position)))
+
+    def lengths(logs: Array) -> list[float]:
+        """Within what a search may try and numbers bear."""
+        found: list[float] = np.exp(np.clip(logs, middle - WIDEST, middle + WIDEST)).tolist()
+        return found
 
     def rest(logs: Array) -> Array:
-        left: Array = _solve(points, list(zip(kinds, np.exp(logs).tolist(), strict=True)))[1]
+        left: Array = _solve(points, list(zip(kinds, lengths(logs), strict=True)))[1]
         return left / size
 
     done = least_squares(rest, np.log([length for _, length in waves]), max_nfev=40, xtol=1e-10, ftol=1e-12)
-    return list(zip(kinds, np.exp(done.x).tolist(), strict=True))
+    return list(zip(kinds, lengths(done.x), strict=True))
 
 
 def _told(x: Array, waves: Sequence[tuple[bool, float]], points: Points, zero: float) -> dict[str, float]:
