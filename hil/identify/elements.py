@@ -17,7 +17,7 @@ A_DECADE = 6  # elements
 SHORTEST = 20  # encoder counts; a force that an even shorter one would have is stiffness out of noise
 TOLD_SHARE = 1.0 - np.exp(-1.0)  # of friction's turn, at the length of a bristle
 # Of Coulomb friction, stiffness and presliding, whose elements have given lengths: share of the value, unit.
-SYSTEMATIC = (0.02, "N"), (0.1, "N/m"), (0.15, "m")
+SYSTEMATIC = (0.02, "N"), (0.2, "N/m"), (0.15, "m")
 
 
 class Elements(NamedTuple):

@@ -14,7 +14,7 @@ from hil.identify.excitation import PERIOD_S, multisine_lines
 from hil.identify.experiments import PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan
 from hil.identify.force_balance import Record, balance
 from hil.identify.frequency_fit import Complex, Pass, Response, fit_axis, response_of
-from hil.identify.late_friction import allow_for_late_friction, viscous_beside
+from hil.identify.late_friction import allow_for_late_friction
 from hil.identify.places import SpeedPass
 from hil.identify.prediction import AxisForces, Unexplained
 from hil.identify.signals import Signals, signals
@@ -141,6 +141,8 @@ def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
             f"positions shifted by {drift.value:.2g} between the first pass and the last (at most {most:.2g}): "
             "does the scale slip, or does something grow warm?"
         )
+    if fit.curves.falls:  # the loops are to reach friction at rest, which is larger
+        return replace(known, coulomb=float(fit.curves.friction_at_speed.max()))
     return replace(known, coulomb=fit.found["coulomb"].value)
 
 
@@ -175,13 +177,31 @@ def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
         )
     viscous = findings.found["viscous"].value if "viscous" in findings.found else axis.model.viscous
     found, refused, findings.elements = friction_at_rest(record, known.mass, viscous)
+    if findings.elements or (findings.travel and findings.travel.falls):
+        _over_stiffness(found, refused, findings, float(record.position.mean()))
     findings.found |= found
     findings.refused |= refused
-    if findings.slope and findings.travel:
-        beside = viscous_beside(findings.travel.speed, findings.travel.friction_at_speed)
-        if beside is not None:
-            allow_for_late_friction(findings.found, findings.slope, beside)
+    if findings.slope and findings.travel and findings.travel.falls:
+        allow_for_late_friction(findings.found, findings.slope, findings.travel.falls.viscous)
     return known
+
+
+def _over_stiffness(found: dict[str, Estimate], refused: dict[str, str], findings: Findings, at: float) -> None:
+    """Presliding as Coulomb friction in motion over the stiffness at rest, where that is not the length over which
+    friction turns: friction at rest is larger, and slip elements turn slowly. at: m, place of the loops.
+    """
+    if "stiffness" not in found:
+        return
+    stiffness, coulomb, travel = found["stiffness"], findings.found.get("coulomb"), findings.travel
+    if coulomb is None and findings.elements and "coulomb" not in findings.refused:
+        coulomb = findings.elements.coulomb
+    if coulomb is None:
+        del found["presliding"]
+        refused["presliding"] = findings.refused["coulomb"]
+        return
+    there = float(np.interp(at, travel.position, travel.friction)) if travel else coulomb.value
+    share = math.hypot(stiffness.half_width / stiffness.value, coulomb.half_width / coulomb.value)
+    found["presliding"] = Estimate(there / stiffness.value, share * there / stiffness.value, "m")
 
 
 def _check(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:

@@ -8,43 +8,27 @@ presliding / Coulomb friction). Viscous friction is at once there, and acts as n
 
 import math
 
-import numpy as np
+from hil.identify.estimate import Estimate
 
-from hil.identify.estimate import Array, Estimate
-
-GAIN = 1.5  # by which a falling part must lower what a straight line leaves of friction over speed, squared
-TRIED = 40  # speeds at which half of it may be gone, from a tenth of the least measured to the greatest
-
-
-def viscous_beside(speed: Array, friction: Array) -> float | None:
-    """Viscous friction (N s/m) beside one that falls with speed, by friction (N) at these speeds (m/s), (n,) both; None
-    where there is no such friction.
-    """
-    speed = np.abs(speed)
-    line = [np.ones(speed.size), speed]
-    straight, best, viscous = _left(line, friction)[0], math.inf, 0.0
-    for half in np.geomspace(0.1 * speed.min(), speed.max(), TRIED).tolist():
-        left, (_, slope, falls) = _left([*line, 1.0 / (1.0 + (speed / half) ** 2)], friction)
-        if falls > 0.0 and left < best:
-            best, viscous = left, slope
-    return viscous if best * GAIN < straight else None
-
-
-def _left(columns: list[Array], target: Array) -> tuple[float, list[float]]:
-    """Squared residual of a least-squares fit, and its coefficients."""
-    found, *_ = np.linalg.lstsq(np.array(columns).T, target, rcond=None)
-    rest = target - found @ np.array(columns)
-    return float(rest @ rest), found.tolist()
+LAG_HZ = 100.0  # from about here on such friction no longer follows, and its share of the phase is taken for lag
+DAMPING = 2.0  # a resonance's damping is off by at most so many times the share by which the mass is
 
 
 def allow_for_late_friction(found: dict[str, Estimate], slope: Estimate, viscous: float) -> None:
-    """Wider intervals of the mass and of the parts of it that ring. slope: of friction over speed, by the frequency
-    response; viscous: what of it is at once there. Nothing where presliding is not known.
+    """Wider intervals of the mass, of the parts of it that ring, of their damping and of the lag. slope: of friction
+    over speed, by the frequency response; viscous: what of it is at once there. Nothing where presliding is not known.
     """
     if "presliding" not in found or "coulomb" not in found:
         return
-    mass = found["mass"].value
-    late = abs(slope.value - viscous) * math.sqrt(mass * found["presliding"].value / found["coulomb"].value)
+    mass, falls = found["mass"].value, abs(slope.value - viscous)
+    share = falls * math.sqrt(found["presliding"].value / found["coulomb"].value / mass)
     for name, one in found.items():
+        off = 0.0
         if name == "mass" or name.endswith("_load"):
-            found[name] = one._replace(half_width=math.hypot(one.half_width, late / mass * one.value))
+            off = share * one.value
+        elif name.endswith("_damping") and name != "bristle_damping":
+            off = DAMPING * share * one.value
+        elif name == "torque_lag":
+            off = falls / mass / (2.0 * math.pi * LAG_HZ) ** 2
+        if off:
+            found[name] = one._replace(half_width=math.hypot(one.half_width, off))

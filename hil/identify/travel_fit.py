@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from hil.identify.estimate import Array, Estimate, Refused, jackknife
+from hil.identify.falling_friction import Falling, falling
 from hil.identify.places import PLACES, Points, SpeedPass, points_of, seen
 
 LEAST_PASSES = 4
@@ -29,11 +30,12 @@ SYSTEMATIC = {
 UNSEEN = 3.0  # times these, where friction may vary along the travel and no sinusoid was told
 PHASE = 0.015  # rad, the same of a sinusoid's phase
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
+WIDEST = 0.5  # half width over value of what is told where friction falls with speed
 
 
 class TravelCurves(NamedTuple):
-    """To look at: along the travel (n,) m, the friction and the force of the place, without viscous friction, N; by
-    pass (k,) the speed, m/s, and the friction at it, N.
+    """To look at: along the travel (n,) m, the friction and the force of the place, less what changes with speed, N; by
+    pass (k,) the speed, m/s, and the friction at it, N; the part of friction that falls with speed, if there is one.
     """
 
     position: Array
@@ -41,6 +43,7 @@ class TravelCurves(NamedTuple):
     place: Array
     speed: Array
     friction_at_speed: Array
+    falls: Falling | None = None
 
 
 class TravelFit(NamedTuple):
@@ -72,8 +75,9 @@ def travel_fit(
     refused = {}
     if max(speeds) < 1.5 * min(speeds):
         refused["viscous"] = f"one speed, {min(speeds):.3g} m/s: at least two that differ by half are needed"
-    viscous = 0.0 if refused else _viscous(points)
-    level = _without_speed(points, viscous)
+    falls = None if refused else falling(points, [p.speed for p in passes])
+    viscous = 0.0 if refused else falls.viscous if falls else _viscous(points)
+    level = _without_speed(points, viscous, falls)
     waves = _waves(level)
     x, rest = _solve(level, waves)
     residual = float(np.sqrt((rest**2).mean()))
@@ -83,8 +87,9 @@ def travel_fit(
     for left_out in range(len(passes)):
         kept = points.of_pass != left_out
         part = Points(*(values[kept] for values in points))
-        other = 0.0 if refused else _viscous(part)
-        part = _without_speed(part, other)
+        falling_too = falls.of(part, [p.speed for p in passes]) if falls else None
+        other = 0.0 if refused else falling_too.viscous if falling_too else _viscous(part)
+        part = _without_speed(part, other, falling_too)
         shifted = _refined(part, waves)
         y, _ = _solve(part, shifted)
         told = (*_told(y, shifted, points, -centre).values(), *_drift(part, shifted, y).values())
@@ -103,6 +108,8 @@ def travel_fit(
         for (name, value), width in zip(values.items(), half, strict=True)
         if name not in refused
     }
+    if falls:
+        _allow_for(falls, found, refused)
     travel = float(np.ptp(points.position))
     for kind, name, period_of in WAVES:
         length = next((length for odd, length in waves if odd is kind), None)
@@ -117,8 +124,27 @@ def travel_fit(
                 found.pop(gone, None)
     hidden = x @ (_design(level, waves, blurred=False) - _design(level, waves))
     whole = level._replace(force=level.force + hidden)
-    curves = _curves(whole, centre, rest, [p.speed for p in passes], float(x[0]), viscous)
+    curves = _curves(whole, centre, rest, [p.speed for p in passes], float(x[0]), viscous, falls)
     return TravelFit(found, refused, residual, curves)
+
+
+def _allow_for(falls: Falling, found: dict[str, Estimate], refused: dict[str, str]) -> None:
+    """Widen Coulomb and viscous friction by what the speeds do not tell of the part that falls, or refuse them."""
+    coulomb = found["coulomb"].value
+    if "friction_variation" in found:  # nobody knows whether the falling part varies along the travel, too
+        wave = found["friction_variation"]
+        off = wave.value * float(falls.at(np.zeros(1))[0]) / coulomb
+        found["friction_variation"] = wave._replace(half_width=math.hypot(wave.half_width, off))
+    for name, off in (("coulomb", falls.coulomb_off), ("viscous", falls.viscous_off)):
+        one = found[name]._replace(half_width=math.hypot(found[name].half_width, off))
+        if one.half_width < WIDEST * abs(one.value):
+            found[name] = one
+        else:
+            del found[name]
+            refused[name] = (
+                f"friction falls with speed: {one.value:.3g} +- {one.half_width:.2g} {one.unit} by the speeds passed "
+                f"(at most {100 * WIDEST:.0f} %)"
+            )
 
 
 WAVES = ((True, "friction_variation", "friction_period"), (False, "cogging_amplitude", "cogging_period"))
@@ -137,8 +163,9 @@ def _unwrapped(without: Sequence[Array], values: Mapping[str, float]) -> list[Ar
 
 
 def _curves(
-    points: Points, centre: float, rest: Array, speeds: Sequence[float], coulomb: float, viscous: float
-) -> TravelCurves:
+    points: Points, centre: float, rest: Array, speeds: Sequence[float], coulomb: float, viscous: float,
+    falls: Falling | None,
+) -> TravelCurves:  # fmt: skip
     """Of places that were passed both ways."""
     at, rows = points.place.astype(int), []
     for place in range(PLACES):
@@ -149,7 +176,8 @@ def _curves(
     left = [float(rest[points.of_pass == number].mean()) for number in range(len(speeds))]
     moved = [coulomb + viscous * abs(v) + float(np.sign(v)) * each for v, each in zip(speeds, left, strict=True)]
     position, friction, place_force = np.array(rows).reshape(-1, 3).T
-    return TravelCurves(position, friction, place_force, np.array(speeds), np.array(moved))
+    at_speed = np.array(moved) + (falls.at(np.array(speeds)) if falls else 0.0)
+    return TravelCurves(position, friction, place_force, np.array(speeds), at_speed, falls)
 
 
 def _viscous(points: Points) -> float:
@@ -168,8 +196,9 @@ def _viscous(points: Points) -> float:
     return float(speed @ varied(points.force) / (speed @ speed))
 
 
-def _without_speed(points: Points, viscous: float) -> Points:
-    return points._replace(force=points.force - viscous * points.velocity)
+def _without_speed(points: Points, viscous: float, falls: Falling | None) -> Points:
+    force = points.force - viscous * points.velocity
+    return points._replace(force=force - np.sign(points.velocity) * falls.at(points.velocity) if falls else force)
 
 
 def _design(points: Points, waves: Sequence[tuple[bool, float]], *, blurred: bool = True) -> Array:
