@@ -34,8 +34,8 @@ WIDEST = 0.5  # half width over value of what is told where friction falls with 
 
 
 class TravelCurves(NamedTuple):
-    """To look at: along the travel (n,) m, the friction and the force of the place, less what changes with speed, N; by
-    pass (k,) the speed, m/s, and the friction at it, N; the part of friction that falls with speed, if there is one.
+    """To look at: along the travel (n,) m, the friction and the force of the place, less what changes with speed, N. By
+    pass (k,) the speed, m/s, and the friction at it, N. falls: the part of friction that falls with speed, if any.
     """
 
     position: Array
