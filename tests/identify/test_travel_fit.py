@@ -150,7 +150,7 @@ def test_a_force_that_fits_nothing_is_refused() -> None:
 def test_a_wave_that_no_place_shows_is_not_told() -> None:
     """Of periods far below a place's width the search sees nothing, and must not divide by it."""
     fit = travel_fit([one(speed, waves=True, length=2e-5) for speed in SPEEDS], PERIOD, 0.9)
-    assert fit.found["cogging_period"].value == pytest.approx(0.024, rel=0.02)
+    assert fit.found["cogging_period"].value == pytest.approx(0.024, rel=0.1)
     assert fit.found["coulomb"].holds(COULOMB)
     points = points_of([one(speed, waves=True) for speed in SPEEDS], PERIOD, 0.9, 0.0)
     assert not seen(points, 1e-5).any()
