@@ -20,7 +20,7 @@ from hil.identify.modes_told import Mode, modes_told
 Complex = NDArray[np.complex128]
 LEAST_PAIRS = 4
 LEAST_COHERENCE = 0.9
-WIDEST = 50.0  # of a logarithm
+WIDEST = 25.0  # of a logarithm
 LEAST_LINES = 15
 WORST_CHI2 = (20.0, 20.0, 8.0, 8.0)  # by number of modes: what several leave may be one more
 FLOOR = 2e-3  # least deviation of a line assumed, relative
@@ -200,7 +200,7 @@ class _Lines(NamedTuple):
         """
         best = last = self.fit(np.array([np.log(mass_guess), 2e-4, 0.0, 0.0]))
         left = self.fit(best.q, delayed=True).chi2
-        for axes in seeds(self.omega, self.response, self.period, float(np.exp(best.q[0])), MOST_MODES):
+        for axes in seeds(self.omega, self.response, self.period, _exp(best.q[0]), MOST_MODES):
             known = [_hung(mode) for mode in _by_mode(last.q)]
             mass, lag = float(np.exp(last.q[0])), abs(float(last.q[1]))
             (_, more), *_ = Stiffness(self.omega, self.response, self.period, mass, lag, known).axes(1)

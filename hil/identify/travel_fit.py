@@ -21,7 +21,7 @@ GAIN = 1.5  # by which a sinusoid along the travel must lower the residual's squ
 LEAST_PARTS, LONGEST = 4.0, 4.0  # periods are searched from the travel over the first squared to this many of it
 # Of friction from travel / FINEST on, as rolling elements pass: so many tried for each period in the travel.
 FINEST, DENSITY = 80.0, 2.5
-WIDEST = 9.0  # of the logarithm of a period over the travel, in the search
+ASTRAY = 9.0  # of the logarithm of a period over the travel, in the search
 # Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
 SYSTEMATIC = {
     "coulomb": 0.001, "viscous": 0.015, "friction_variation": 0.03, "friction_period": 0.001,
@@ -256,7 +256,7 @@ def _refined(points: Points, waves: Sequence[tuple[bool, float]]) -> list[tuple[
 
     def lengths(logs: Array) -> list[float]:
         """Within what a search may try and numbers bear."""
-        found: list[float] = np.exp(np.clip(logs, middle - WIDEST, middle + WIDEST)).tolist()
+        found: list[float] = np.exp(np.clip(logs, middle - ASTRAY, middle + ASTRAY)).tolist()
         return found
 
     def rest(logs: Array) -> Array:

@@ -31,8 +31,8 @@ def reversal(mover: VirtualMover, axis: str, way: float, rounds: int, speed: flo
     number, found = mover.axes.index(axis), []
 
     def to(place: float) -> None:
-        mover.move_to(speed=speed, **{axis: place})
-        mover.await_rest(lambda look: look.motion is MotionWord.HOLD)
+        move = mover.move_to(speed=speed, **{axis: place})
+        mover.await_rest(lambda look: look.motion is MotionWord.HOLD or move.done)
 
     def seen(seconds: float) -> list[float]:
         places, until_ns = [], mover.now_ns() + round(seconds * 1e9)
