@@ -202,7 +202,7 @@ class _Lines(NamedTuple):
         left = self.fit(best.q, delayed=True).chi2
         for axes in seeds(self.omega, self.response, self.period, _exp(best.q[0]), MOST_MODES):
             known = [_hung(mode) for mode in _by_mode(last.q)]
-            mass, lag = float(np.exp(last.q[0])), abs(float(last.q[1]))
+            mass, lag = _exp(last.q[0]), abs(float(last.q[1]))
             (_, more), *_ = Stiffness(self.omega, self.response, self.period, mass, lag, known).axes(1)
             begun = [*axes[:SEEDS], more]
             last = min((self.fit(_parameters(axis)) for axis in begun), key=lambda fit: fit.chi2)
