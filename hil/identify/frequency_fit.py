@@ -196,7 +196,8 @@ class _Lines(NamedTuple):
 
     def best(self, mass_guess: float) -> _Fit:
         """With as many modes as tell themselves. Whether one more does is judged with the delay searched, too: no mode
-        may stand for a delay. The search begins anew for each number of modes, and where that with one less ended.
+        may stand for a delay, nor for what friction does below the lines. The search begins anew for each number of
+        modes, and where that with one less ended.
         """
         best = last = self.fit(np.array([np.log(mass_guess), 2e-4, 0.0, 0.0]))
         left = self.fit(best.q, delayed=True).chi2
@@ -207,7 +208,8 @@ class _Lines(NamedTuple):
             begun = [*axes[:SEEDS], more]
             last = min((self.fit(_parameters(axis)) for axis in begun), key=lambda fit: fit.chi2)
             chi2 = self.fit(last.q, delayed=True).chi2
-            if chi2 * MODE_GAIN < left and _loads(last.q) < MOST_LOAD:
+            slowest = min(hertz for hertz, _, _ in map(_hung, _by_mode(last.q)))
+            if chi2 * MODE_GAIN < left and _loads(last.q) < MOST_LOAD and 2.0 * np.pi * slowest > self.omega[0]:
                 best, left = last, chi2
             if left < NOISE:
                 break
