@@ -4,6 +4,7 @@ import signal
 
 import pytest
 
+from hil.control.laws.presliding_kalman import KEPT
 from hil.cycle.state_machine import State
 from hil.live.kept_learnt import keep, kept_path
 from tests.support.live_rig import Control, emulated, rig_with
@@ -11,7 +12,7 @@ from tests.support.live_rig import Control, emulated, rig_with
 pytestmark = pytest.mark.live
 
 RIG = ("law.name=presliding-kalman", "law.gains={}")
-STATE = [[0.0, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0] + [0.0] * 126] * 2
+STATE = [[0.0, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0] + [0.0] * (KEPT - 7)] * 2
 
 
 def test_a_run_begins_with_what_is_kept_and_keeps_it_at_its_end() -> None:
