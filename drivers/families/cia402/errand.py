@@ -5,11 +5,12 @@ it was told. An access without an answer is made MOST_ASKED times. What ends an 
 """
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 from drivers.eds.reader import object_name
 from drivers.families.cia402.cia301 import Abort
 from drivers.families.cia402.sdo import Progress, Step, Transfer, describe_abort
+from drivers.protocols.finding import Search
 
 PATIENCE_TICKS: Final = 200
 ANSWER_TICKS: Final = 100
@@ -101,6 +102,49 @@ class Errand:
             return
         self._asked, self._begun_tick = 0, -1
         self._ask_again()
+
+
+class Runner(Protocol):
+    """A drive that runs errands. node_id: its node."""
+
+    node_id: int
+
+    def take_on(self, errand: Errand) -> None:
+        """Run it next; it fails at once where the drive does not run."""
+
+
+class Asked:
+    """What a drive was asked by one errand after the other, and how far it is. problem: why it failed, for people."""
+
+    def __init__(self, runner: Runner) -> None:
+        self.problem = ""
+        self._runner = runner
+        self._search = Search.NONE
+        self._errand: Errand | None = None
+
+    @property
+    def search(self) -> Search:
+        """See drivers/protocols/finding.py."""
+        errand = self._errand
+        if errand is not None and errand.over:
+            self._errand = None
+            if errand.problem:
+                self.problem, self._search = f"node {self._runner.node_id}: {errand.problem}", Search.FAILED
+            else:
+                self._conclude(errand)
+        return self._search
+
+    def _ask(self, steps: Sequence[Step], *, required: bool = False) -> None:
+        self._search, self._errand = Search.ASKED, Errand(steps, required=required)
+        self._runner.take_on(self._errand)
+
+    def _forget(self) -> None:
+        """Nothing was asked."""
+        self._search, self._errand = Search.NONE, None
+
+    def _conclude(self, errand: Errand) -> None:
+        """An errand came to its end."""
+        raise NotImplementedError
 
 
 def written(index: int, subindex: int, value: int, size: int) -> list[Step]:

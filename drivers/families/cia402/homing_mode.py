@@ -15,7 +15,7 @@ from typing import Final
 
 from drivers.families.cia402 import cia301
 from drivers.families.cia402.drive_plan import DrivePlan
-from drivers.families.cia402.errand import Errand, written
+from drivers.families.cia402.errand import Asked, Errand, written
 from drivers.families.cia402.node import RUNNING, NodeMaster
 from drivers.families.cia402.sdo import Step
 from drivers.protocols.finding import HomingTerms, Search
@@ -26,28 +26,17 @@ PATIENT_WORDS: Final = 10  # that still show an earlier homing, before it is beg
 _MOST: Final = 0xFFFFFFFF
 
 
-class HomingMode:
-    """Homer of one drive. problem: why it failed, for people."""
+class HomingMode(Asked):
+    """Homer of one drive."""
 
     def __init__(self, node: NodeMaster, plan: DrivePlan, gain: Callable[[], float]) -> None:
         """gain: thousandths of 6076h in an N (N m)."""
-        self.problem = ""
+        super().__init__(node)
         self._node, self._plan, self._gain = node, plan, gain
-        self._search = Search.NONE
-        self._errand: Errand | None = None
         self._terms: HomingTerms | None = None  # that the drive is yet to be told
         self._limit = 0  # 6072h as it was
         self._heard = 0  # statuswords in that mode, before it was told to begin
         self._shown = 0  # bits of an earlier homing that it shows still
-
-    @property
-    def search(self) -> Search:
-        """See Homer."""
-        errand = self._errand
-        if errand is not None and errand.over:
-            self._errand = None
-            self._conclude(errand)
-        return self._search
 
     def begin(self, terms: HomingTerms) -> None:
         """See Homer."""
@@ -58,7 +47,7 @@ class HomingMode:
         """See Homer."""
         if self._node.away and self._node.phase is RUNNING:
             self._come_back()
-        self._search, self._errand = Search.NONE, None
+        self._forget()
 
     def hear(self, word: int) -> None:
         """A statusword."""
@@ -77,9 +66,7 @@ class HomingMode:
             self._come_back()
 
     def _conclude(self, errand: Errand) -> None:
-        if errand.problem:
-            self.problem, self._search = f"node {self._node.node_id}: {errand.problem}", Search.FAILED
-        elif self._terms is not None:
+        if self._terms is not None:
             self._limit = errand.values[cia301.TORQUE_MAX]
             self._prepare(self._terms)
         elif errand.required:
@@ -105,13 +92,6 @@ class HomingMode:
     def _come_back(self) -> None:
         self._node.homes = False
         self._ask([*_mode(cia301.TORQUE_MODE), *written(cia301.TORQUE_MAX, 0, self._limit, 2)], required=True)
-
-    def _ask(self, steps: list[Step], *, required: bool = False) -> None:
-        self._search, self._errand = Search.ASKED, Errand(steps, required=required)
-        if self._node.phase is RUNNING:
-            self._node.errand = self._errand
-        else:
-            self._errand.fail(f"node {self._node.node_id} does not run")
 
 
 def _mode(mode: int) -> list[Step]:

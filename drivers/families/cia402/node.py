@@ -147,6 +147,13 @@ class NodeMaster:
         elif code & 0xFF00 == Emergency.SENSOR:
             self.alarms |= _ENCODER_FAULT
 
+    def take_on(self, errand: Errand) -> None:
+        """Run it next; it fails at once where the drive does not run."""
+        if self.phase is RUNNING:
+            self.errand = errand
+        else:
+            errand.fail(f"node {self.node_id} does not run")
+
     def on_sdo(self, data: bytes) -> bool:
         """An SDO answer of 8 bytes; False where it is not one to the request that is open."""
         if self.errand is not None and self.phase is RUNNING:

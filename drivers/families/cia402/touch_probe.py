@@ -12,7 +12,7 @@ from struct import Struct
 from typing import Final
 
 from drivers.families.cia402.drive_plan import DrivePlan
-from drivers.families.cia402.errand import Errand, written
+from drivers.families.cia402.errand import Asked, Errand, written
 from drivers.families.cia402.node import RUNNING, NodeMaster
 from drivers.families.cia402.sdo import Step
 from drivers.protocols.finding import Search
@@ -26,24 +26,13 @@ _ON, _LATCHED = 1 << 0, 1 << 1
 _TPDO: Final = Struct("<Hi")
 
 
-class TouchProbe:
-    """Finder of one drive's index. problem: why it failed, for people."""
+class TouchProbe(Asked):
+    """Finder of one drive's index."""
 
     def __init__(self, node: NodeMaster) -> None:
+        super().__init__(node)
         self.count = 0
-        self.problem = ""
         self._node = node
-        self._search = Search.NONE
-        self._errand: Errand | None = None
-
-    @property
-    def search(self) -> Search:
-        """See Finder."""
-        errand = self._errand
-        if errand is not None and errand.over:
-            self._errand = None
-            self._conclude(errand)
-        return self._search
 
     def begin(self) -> None:
         """See Finder: off, which forgets what is latched, then on."""
@@ -65,7 +54,7 @@ class TouchProbe:
         """See Finder."""
         if self._search is not Search.NONE and self._node.phase is RUNNING:
             self._node.errand = Errand([Step(FUNCTION, 0, _OFF, 2, width=2)])
-        self._search, self._errand = Search.NONE, None
+        self._forget()
 
     def hear(self, data: bytes) -> None:
         """A TPDO 3 of LENGTH bytes."""
@@ -76,17 +65,8 @@ class TouchProbe:
         if status & _ON and status & _LATCHED:
             self.count, self._search = place, Search.FOUND
 
-    def _ask(self, steps: list[Step]) -> None:
-        self._search, self._errand = Search.ASKED, Errand(steps)
-        if self._node.phase is RUNNING:
-            self._node.errand = self._errand
-        else:
-            self._errand.fail(f"node {self._node.node_id} does not run")
-
     def _conclude(self, errand: Errand) -> None:
-        if errand.problem:
-            self.problem, self._search = f"node {self._node.node_id}: {errand.problem}", Search.FAILED
-        elif PLACE not in errand.values:
+        if PLACE not in errand.values:
             self._search = Search.RUNNING
         else:
             self._search = Search.MISSED
