@@ -108,6 +108,14 @@ class AxisDynamics(NamedTuple):
         return answer
 
 
+def hung(s: NDArray[np.complex128], frequency: Array | float, damping: float) -> NDArray[np.complex128]:
+    """Force over the position of what carries 1 kg on a spring, N/m."""
+    omega = 2.0 * np.pi * frequency
+    spring = 2.0 * damping * omega * s + omega * omega
+    force: NDArray[np.complex128] = s * s * spring / (s * s + spring)
+    return force
+
+
 class FlexiblePlant:
     """A hil.analysis.pulse_loop.Plant of one AxisDynamics per row and axis."""
 

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.analysis.flexible_plant import AxisDynamics
+from hil.analysis.flexible_plant import AxisDynamics, hung
 from hil.analysis.loop_corners import CornerTrial
 from hil.analysis.stability import margins_of_loop
 from hil.control.laws.base import Array
@@ -107,20 +107,12 @@ def _response(
         motor = axis.mass * (1.0 - load - sum([part for _, _, part in known]))
         stiff = motor * s * s + (axis.viscous + axis.damping) * s + axis.stiffness
         for hertz, damping, part in known:
-            stiff = stiff + axis.mass * part * _hung(s, hertz, damping)
+            stiff = stiff + axis.mass * part * hung(s, hertz, damping)
         if load:
-            stiff = stiff + axis.mass * load * _hung(s, resonance, DAMPING)
+            stiff = stiff + axis.mass * load * hung(s, resonance, DAMPING)
         total += 1.0 / (stiff * (1.0 + axis.lag * s) * s)
     answer: Complex = total * (1.0 - np.exp(-2j * np.pi * frequency * period)) / period
     return answer
-
-
-def _hung(s: Complex, frequency: Array | float, damping: float) -> Complex:
-    """Force over the position of what carries 1 kg on a spring, N/m."""
-    omega = 2.0 * np.pi * frequency
-    spring = 2.0 * damping * omega * s + omega * omega
-    force: Complex = s * s * spring / (s * s + spring)
-    return force
 
 
 def second_notes(found: Sequence[SecondResonance]) -> list[str]:

@@ -5,13 +5,12 @@ on a spring takes beyond its own acceleration. With frequency and damping from a
 those are linear (orthogonal least squares: Chen, Billings, Luo, Int. J. Control 50(5), 1989).
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.analysis.flexible_plant import AxisDynamics
+from hil.analysis.flexible_plant import AxisDynamics, hung
 from hil.identify.estimate import Array
 
 Complex = NDArray[np.complex128]
@@ -41,7 +40,7 @@ class Stiffness:
         self._grid: list[tuple[float, float]] = [(each, damping) for each, damping, _ in known]
         self._grid += [(each, damping) for each in grid for damping in DAMPINGS]
         self._known = len(known)
-        self._hung = self._rows(np.array([_hung(s, *each) for each in self._grid]))
+        self._hung = self._rows(np.array([hung(s, *each) - s * s for each in self._grid]))
         self._base, self._rest = self._rows(np.array([s * s, s])), self._rows(measured)
 
     def _rows(self, values: Complex) -> Array:
@@ -77,14 +76,6 @@ class Stiffness:
         loads = [min(max(each / mass, LEAST_LOAD), MOST_LOAD) for each in hung]
         first, *others = [(*self._grid[at], load) for at, load in zip(chosen, loads, strict=True)]
         return left, AxisDynamics(mass, self._lag, *first, float(viscous))._replace(others=tuple(others))
-
-
-def _hung(s: Complex, hertz: float, damping: float) -> Complex:
-    """Stiffness of 1 kg on a spring beyond its acceleration."""
-    omega = 2.0 * math.pi * hertz
-    spring = 2.0 * damping * omega * s + omega * omega
-    beyond: Complex = s * s * spring / (s * s + spring) - s * s
-    return beyond
 
 
 def seeds(omega: Array, response: Complex, period: float, mass: float, most: int) -> list[list[AxisDynamics]]:

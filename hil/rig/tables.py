@@ -14,7 +14,7 @@ from drivers.protocols.base import STATUS_NAMES
 from drivers.protocols.mounting import Mounting
 from hil.rig.error_map_table import ErrorMapConfig
 from hil.rig.home_table import HomeConfig
-from hil.rig.measured_table import MeasuredConfig, Tolerances, tolerances
+from hil.rig.measured_table import MOST_OTHERS, MeasuredConfig, Tolerances, tolerances
 from hil.rig.motion_tables import AxisMotionConfig as AxisMotionConfig
 from hil.rig.motion_tables import MotionConfig as MotionConfig
 from sim_plant.axis_config import MOST_LOAD
@@ -85,7 +85,7 @@ class ModelConfig(Table):
         "up to two resonances beside it, `[frequency, damping, load]` of each: Hz with the motor held, damping ratio, "
         "fraction of the moving mass",
         "Hz, 1, 1",
-        max_length=2,
+        max_length=MOST_OTHERS,
     )
     presliding: list[Positive] = key(
         [],
