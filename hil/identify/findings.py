@@ -121,6 +121,8 @@ def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, kn
     findings.fitted, findings.slope = fit.response, fit.found["viscous"]
     findings.found |= {name: one for name, one in fit.found.items() if name != "viscous"}
     findings.refused |= fit.refused
+    if "mode" in fit.refused and 0.0 < axis.model.mode_frequency_hz < findings.response.frequency_hz[-1]:
+        findings.found["mode_frequency_hz"] = Estimate(0.0, 0.0, "Hz")  # the model states one that is not there
     return replace(known, mass=fit.found["mass"].value)
 
 

@@ -37,11 +37,9 @@ def modes_told(modes: Sequence[Mode], low: float, high: float) -> tuple[dict[str
         refused["mode"] = f"the heaviest is {heaviest.load.value:.2g} of the mass (a tool: at least {LEAST_TOOL})"
     elif low < tool.hertz < high:
         found = _named("mode", tool)
-    else:
-        refused["mode"] = f"{tool.hertz:.0f} Hz is outside the excited {excited}"
     others = sorted((mode for mode in modes if mode is not tool), key=lambda mode: mode.hertz)
     inside = [mode for mode in others if low < mode.hertz < high]
-    if beyond := [f"{mode.hertz:.0f} Hz" for mode in others if mode not in inside]:
+    if beyond := [f"{mode.hertz:.0f} Hz" for mode in modes if not low < mode.hertz < high]:
         refused["mode_beyond"] = f"{', '.join(beyond)}: outside the excited {excited}"
     if len(inside) > MOST_OTHERS:
         where = ", ".join(f"{mode.hertz:.0f}" for mode in inside)

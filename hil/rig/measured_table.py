@@ -95,7 +95,8 @@ SAME = 1e-5  # relative: the model has the measured value
 
 def tolerances(model: Any, measured: MeasuredConfig | None) -> Tolerances:
     """Of an axis whose [model] and [measured] these are: the usual ones where nothing was measured. A resonance beside
-    the tool's that was not measured counts as well known as the tool's.
+    the tool's that was not measured counts as well known as the tool's. Where a frequency response showed others and
+    none of a tool, the others count.
     """
     unknown = Tolerances()
     if measured is None:
@@ -108,8 +109,12 @@ def tolerances(model: Any, measured: MeasuredConfig | None) -> Tolerances:
         )
     )
     frequencies = (measured.other_mode_1_frequency_hz, measured.other_mode_2_frequency_hz)
-    others = [_tolerance(mode[0], both, 0.0, 0.0) for mode, both in zip(model.other_modes, frequencies, strict=False)]
-    return of_tool._replace(mode=max(of_tool.mode, *others)) if others else of_tool
+    pairs = list(zip(model.other_modes, frequencies, strict=False))
+    if not pairs:
+        return of_tool
+    others = [_tolerance(mode[0], both, 0.0, 0.0) for mode, both in pairs]
+    shown = not model.mode_frequency_hz and all(both is not None for _, both in pairs)
+    return of_tool._replace(mode=max(LEAST.mode if shown else of_tool.mode, *others))
 
 
 def _tolerance(value: float, measured: list[float] | None, least: float, default: float) -> float:

@@ -1,8 +1,8 @@
 """Identification of hidden stages: `python -m tests.benchmarks.hidden_stages --stages 20`.
 
-Stages are drawn as `hil evidence` draws them, with --hard as its hard ones. The rig file's model is off by --off in
-everything, or empty. Prints the error of each quantity (median and worst), how often its interval held the truth, and
-what was refused.
+Stages are drawn as `hil evidence` draws them, with --hard as its hard ones, with --wide with a lag and a resonance of
+a wider range. The rig file's model is off by --off in everything, or empty. Prints the error of each quantity (median
+and worst), how often its interval held the truth, and what was refused.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import time
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from hil.rig.schema import AxisConfig, RigConfig
 from hil.rig.shipped import by_name
 from hil.runs.api import Run
 from hil.studies.evidence.stages import nominal, only, plant_of
+from hil.studies.population import between
 from sim_plant.config import PlantConfig
 
 SWEPT = SWEEP_REACH - 0.053  # of half the travel, at constant speed
@@ -36,18 +38,30 @@ ABSOLUTE = {  # scale, unit
     "cogging_phase": (180.0 / math.pi, "deg"),
 }  # fmt: skip
 RIG, TOLD = "microscope", ("mass", "coulomb", "viscous", "gravity", "torque_lag")
+# With --wide: Hz of the held motor (log-uniform), damping ratio, share of the mass; s.
+WIDE_HZ, WIDE_DAMPING, WIDE_LOAD, WIDE_LAG = (100.0, 350.0), (0.01, 0.05), (0.1, 0.4), (1e-4, 4e-4)
 EMPTY = ({"mass": 0.5, "gravity": 0.8}, {"mass": 2.0, "gravity": 1.2})  # what is known, over the truth; by turns
 
 
 def hidden(
-    axis: str, seed: int, number: int, mode_hz: float, off: float | None, count: float = 0.0, *, hard: bool = False
+    axis: str,
+    seed: int,
+    number: int,
+    mode_hz: float,
+    off: float | None,
+    count: float = 0.0,
+    *,
+    hard: bool = False,
+    wide: bool = False,
 ) -> tuple[RigConfig, dict[str, float]]:
     """A one-axis rig that knows little of its stage, and the stage's truth. count: of the encoder, m (rad); 0: the rig
-    file's. hard: the stage is drawn as those of `hil evidence --hard`.
+    file's. hard: the stage is drawn as those of `hil evidence --hard`; wide: as --wide says.
     """
     other = [f"axes.{axis}.encoder_resolution={count}"] if count else []
     whole = only(nominal(load_rig(by_name("rigs", Path(RIG)), other), mode_hz), [axis])
     plant = plant_of(whole, seed, number, mode_hz, hard=hard)
+    if wide:
+        plant = _widened(plant, Random(f"wide/{seed}/{number}"))
     mine = {key: getattr(whole.plant, key) for key in ("encoder_resolution", "initial_position")}
     known = EMPTY[number % 2] if off is None else dict.fromkeys(TOLD, 1.0 - off)
     told = plant if off is None else whole.axes[axis].model
@@ -55,6 +69,18 @@ def hidden(
     drives = whole.drives.model_copy(update={"brake": [axis == "z"]})
     rig = whole.model_copy(update={"axes": axes, "drives": drives, "plant": plant.model_copy(update=mine)})
     return rig, truth_of_axis(plant, axis, 0, SWEPT * axes[axis].limits.position[1])
+
+
+def _widened(plant: PlantConfig, random: Random) -> PlantConfig:
+    """With another lag, and another resonance where there is one."""
+    lag = random.uniform(*WIDE_LAG)
+    changed = {
+        "frequency_hz": between(WIDE_HZ, random.random()),
+        "damping": random.uniform(*WIDE_DAMPING),
+        "load": random.uniform(*WIDE_LOAD),
+    }
+    modes = [mode.model_copy(update=changed) if mode.tool else mode for mode in plant.modes]
+    return plant.model_copy(update={"torque_lag": [lag], "modes": modes})
 
 
 def told_wrongly(axis: AxisConfig, known: Mapping[str, float]) -> AxisConfig:
@@ -179,6 +205,7 @@ def main() -> None:
     parser.add_argument("--empty", action="store_true", help="begin with an empty model")
     parser.add_argument("--count", type=float, default=0.0, help="of the encoder, m (rad); 0: the rig file's")
     parser.add_argument("--hard", action="store_true", help="stages as `hil evidence --hard` draws them")
+    parser.add_argument("--wide", action="store_true", help="resonance of 100 to 350 Hz, lag of 0.1 to 0.4 ms")
     parser.add_argument("--only", default=",".join(EXPERIMENTS), help="experiments, comma-separated")
     words = parser.parse_args()
     errors, followed, ways, faults = Errors(), list[float](), list[float](), 0
@@ -186,7 +213,9 @@ def main() -> None:
     began_s = time.process_time()
     for number in range(words.first, words.first + words.stages):
         off = None if words.empty else words.off
-        rig, truth = hidden(words.axis, words.seed, number, words.mode, off, words.count, hard=words.hard)
+        rig, truth = hidden(
+            words.axis, words.seed, number, words.mode, off, words.count, hard=words.hard, wide=words.wide
+        )
         shares: list[float] = []
 
         def runner(trial: Trial, shares: list[float] = shares) -> tuple[Run, str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from hil.identify.lockstep import identify
+from hil.identify.written import model_values
 from hil.rig.file import load_rig
 from hil.studies.evidence.stages import nominal, plant_of
 from hil.studies.evidence.stages import only as axes_only
@@ -21,3 +22,14 @@ def test_what_friction_does_below_the_lines_is_no_resonance() -> None:
     found = identify(stage, Path(), ["z"], lambda text: None, only=("push", "frequency"))["z"]
     mass = found.found.get("mass")
     assert "chi^2" in found.refused["frequency"] if mass is None else mass.holds(plant.mass[2])  # type: ignore[index]
+
+
+@pytest.mark.long
+def test_a_stated_resonance_that_is_not_there_is_written_as_none() -> None:
+    """The law would go on observing it."""
+    rig = load_rig(RIGS / "microscope.toml")
+    known = axes_only(nominal(rig, 150.0), ["x"])
+    stage = alone(known, plant_of(nominal(rig, 0.0), 95, 3, 0.0), 0)
+    found = identify(stage, Path(), ["x"], lambda text: None, only=("push", "frequency"))["x"]
+    assert "no resonance" in found.refused["mode"]
+    assert model_values(found.found)["mode_frequency_hz"] == 0.0

@@ -88,6 +88,8 @@ def test_resonances_beside_the_tools_are_written_compared_and_bound_the_corners(
     assert axis.tolerances.mode == pytest.approx(0.03), "of the one that is known least"
     by_hand = load_rig(first, ["axes.x.model.other_modes=[[280.0, 0.01, 0.05]]"])
     assert by_hand.axes["x"].tolerances.mode == 0.01
+    rigid = load_rig(first, ["axes.x.model.mode_frequency_hz=0"])
+    assert rigid.axes["x"].tolerances.mode == pytest.approx(0.03), "the response shows these, and no tool"
     later = {**FOUND, **tool, **other(1, 283.0, 0.1)}
     second.write_text(rig_text(first, {"x": later}, "2026-02-01", "b"), encoding="utf-8")
     assert load_rig(second).axes["x"].model.other_modes == [[283.0, 0.01, 0.05]]
