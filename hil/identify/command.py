@@ -107,6 +107,8 @@ def identify(
     if responses:
         evidence += f"; frequency responses in {responses}"
     told = _write(asked, findings, evidence, refused)
+    if live:
+        _tell_kept(asked, folder, findings)
     if any(one.ended for one in findings.values()):
         raise typer.Exit(EXIT_FAULT)
     if refused or (write and not told):
@@ -179,6 +181,21 @@ def _write(asked: _Asked, findings: dict[str, Findings], evidence: str, refused:
             asked.say(begins)
         asked.say(f"written to {asked.to}; next: hil check {shlex.quote(str(asked.to))}")
     return True
+
+
+def _tell_kept(asked: _Asked, out: Path, findings: dict[str, Findings]) -> None:
+    """How to measure an experiment again whose recording was refused: the same command takes the kept one."""
+    from hil.identify.live import kept_in
+
+    kept = [
+        str(kept_in(out, axis, experiment))
+        for axis, one in findings.items()
+        for experiment in asked.experiments
+        if experiment in one.refused and not one.ended
+    ]
+    if kept:
+        asked.say("the refused recordings are kept. To measure them again:")
+        asked.say(f"  rm -r {shlex.join(kept)}\n  {asked.again}")
 
 
 def _report(asked: _Asked, findings: dict[str, Findings], picture: Path | None, folder: Path | None) -> None:

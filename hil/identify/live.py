@@ -76,7 +76,7 @@ class LiveExperiments:
         rig = Rig.build(self._document(trial), trial.folder)
         if anywhere := declared_anywhere(trial.axis, rig.config):
             raise LiveError(anywhere)
-        kept = self._out / f"{trial.axis}-{trial.experiment}"
+        kept = kept_in(self._out, trial.axis, trial.experiment)
         before = _finished(kept, rig.sha256)
         if before is not None:
             self._say(f"{trial.axis}, {trial.experiment}: recorded before, in {kept}")
@@ -195,6 +195,11 @@ def live_runtime(rig: RigConfig) -> Iterator[Path]:
         yield runtime
     finally:
         shutil.rmtree(runtime, ignore_errors=True)
+
+
+def kept_in(out: Path, axis: str, experiment: str) -> Path:
+    """Folder of an experiment's recording, once it has come to its end."""
+    return out / f"{axis}-{experiment}"
 
 
 def _finished(kept: Path, wanted: str) -> Run | None:

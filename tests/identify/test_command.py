@@ -87,6 +87,16 @@ def test_nothing_is_written_where_something_is_refused_until_that_is_accepted(fo
 
 
 @pytest.mark.replaces_methods
+def test_a_refused_live_recording_can_be_measured_again(hil: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same command takes the recording that is kept, and is refused again."""
+    findings = Findings(found={"mass": MASS}, refused={"frequency": "1 pairs of passes (at least 4)"})
+    monkeypatch.setattr(command, "_found_live", lambda *_, **__: ({"x": findings}, "live"))
+    status, text = hil("stage.toml", "--live", "--yes", "--out", "kept", "--set", "bus.interface=local")
+    assert status == EXIT_REFUSED
+    assert "  rm -r kept/x-frequency\n  hil identify stage.toml --live --yes --out kept" in text
+
+
+@pytest.mark.replaces_methods
 def test_a_dry_run_shows_what_would_change_and_writes_nothing(found: Command) -> None:
     status, text = found(Findings(found={"mass": MASS}), "--write", "new.toml", "--dry-run")
     assert (status, [path.name for path in Path().iterdir()]) == (0, ["stage.toml"])
