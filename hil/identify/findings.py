@@ -106,7 +106,8 @@ def _largest(force: Array, cycle: int) -> slice:
     return slice(int(full[0]) * cycle, (int(full[-1]) + 2) * cycle)
 
 
-def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+def passes_of(of: Signals, plan: Plan) -> list[Pass]:
+    """Passes of the frequency experiment during which the computer did not stall."""
     base = round(PERIOD_S / of.period)
     passes = []
     for number, (begin, _, speed) in enumerate(plan.spans):
@@ -116,6 +117,12 @@ def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, kn
         sign = -1 if number // 2 % 2 else 1
         if not of.stalled[part].any():
             passes.append(Pass(of.step[part], of.late[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
+    return passes
+
+
+def _frequency(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known: Known) -> Known:
+    base = round(PERIOD_S / of.period)
+    passes = passes_of(of, plan)
     findings.response = response_of(passes, of.period, multisine_lines(of.period), base)
     fit = fit_axis(findings.response, of.period, known.mass)
     findings.fitted, findings.slope = fit.response, fit.found["viscous"]

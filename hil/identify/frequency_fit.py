@@ -73,6 +73,13 @@ class Axis(NamedTuple):
     chi2: float
 
 
+def too_few_pairs(passes: Sequence[Pass]) -> str:
+    """In words, where fewer than LEAST_PAIRS have another of their direction and the opposite sign; else ""."""
+    ways = [(one.direction, one.sign) for one in passes]
+    pairs = sum(min(ways.count((direction, sign)) for sign in (1, -1)) for direction in (1, -1))
+    return f"{pairs} pairs of passes with the multisine (at least {LEAST_PAIRS})" if pairs < LEAST_PAIRS else ""
+
+
 def response_of(passes: Sequence[Pass], period: float, lines: Sequence[int], base: int) -> Response:
     """From passes at constant speed. lines: multiples of 1 / (base period) that were excited, at least 2 apart. The
     passes are all of `n` ticks, a multiple of `base` and at least twice that, for the window that keeps what does not
@@ -103,8 +110,8 @@ def response_of(passes: Sequence[Pass], period: float, lines: Sequence[int], bas
             u.append(0.5 * (u1 + u2))
             y.append(0.5 * (y1 + y2))
     m = len(u)
-    if m < LEAST_PAIRS:
-        raise Refused(f"{m} pairs of passes with the multisine (at least {LEAST_PAIRS})")
+    if too_few := too_few_pairs(passes):
+        raise Refused(too_few)
     force, position = np.array(u), np.array(y)
     power = (np.abs(force) ** 2).sum(axis=0) * (np.abs(position) ** 2).sum(axis=0)
     coherence: Array = np.abs((position * force.conj()).sum(axis=0)) ** 2 / power

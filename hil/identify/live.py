@@ -26,9 +26,12 @@ from drivers.base.named_file import write_text
 from drivers.base.runtime import runtime_dir
 from drivers.base.toml_file import toml_text
 from hil.cycle.fault_table import Fault
+from hil.identify.estimate import Refused
 from hil.identify.experiments import ROW_S, middle
+from hil.identify.findings import passes_of
+from hil.identify.frequency_fit import too_few_pairs
 from hil.identify.lockstep import AFTER_S, Trial
-from hil.identify.signals import too_many_lost
+from hil.identify.signals import signals, too_many_lost
 from hil.operate.dead_man import NAMED, Handle
 from hil.operate.demo_live import RECORDING, Demo, Scene, Signals, private_runtime
 from hil.rig.file import load_rig, rig_hash
@@ -115,7 +118,7 @@ class LiveExperiments:
             raise LiveError(f"{where}: {NAMED} was let go, and the stage stopped")
         if run is None or (stage.troubles and not run.summary()["faults"]):
             raise LiveError(f"{where}: {stage.troubles[0] if stage.troubles else 'nothing was recorded'}")
-        if not stage.troubles and (missing := too_many_lost(run)):
+        if not stage.troubles and (missing := too_many_lost(run) or _too_many_held_up(run, trial)):
             raise TooBusyError(f"{where}: {missing}")
         if not stage.troubles and not run.summary()["faults"]:
             shutil.rmtree(kept, ignore_errors=True)
@@ -195,6 +198,17 @@ def live_runtime(rig: RigConfig) -> Iterator[Path]:
         yield runtime
     finally:
         shutil.rmtree(runtime, ignore_errors=True)
+
+
+def _too_many_held_up(run: Run, trial: Trial) -> str:
+    """In words, where the frequency response cannot be fitted for the ticks that are missing; else ""."""
+    if trial.experiment != "frequency" or run.summary()["faults"]:
+        return ""
+    try:
+        passes = passes_of(signals(run, trial.axis, trial.folder), trial.plan)
+    except Refused:
+        return ""  # the fit says why
+    return "" if len(passes) == len(trial.plan.spans) else too_few_pairs(passes)
 
 
 def kept_in(out: Path, axis: str, experiment: str) -> Path:

@@ -37,12 +37,16 @@ def no_signals(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of this process are pytest's
 
 
-def a_push(interface: str, folder: Path) -> Trial:
+def a_trial(experiment: str, interface: str, folder: Path) -> Trial:
     rig = rigs.one_axis(bus={"interface": interface}).config
     axis = rig.axes["x"]
-    plan = EXPERIMENTS["push"](axis, Known(axis.model.mass), APPROACH_S)
+    plan = EXPERIMENTS[experiment](axis, Known(axis.model.mass), APPROACH_S)
     document, seconds = rig_document(rig, "x", plan, APPROACH_S)
-    return Trial("x", "push", plan, document, folder, seconds)
+    return Trial("x", experiment, plan, document, folder, seconds)
+
+
+def a_push(interface: str, folder: Path) -> Trial:
+    return a_trial("push", interface, folder)
 
 
 def experiments(out: Path, asked: list[str], *, agrees: bool = False) -> LiveExperiments:
@@ -124,6 +128,33 @@ def test_an_experiment_that_lost_too_many_ticks_is_tried_again_and_not_kept(
         experiments(tmp_path, [])(a_push("local", tmp_path))
     assert len(starts) == live.TRIES
     assert [path.name for path in tmp_path.iterdir()] == ["x-push.part"]
+
+
+class Whole(Short):
+    """A demo that records all of it."""
+
+    def run(self, seconds: float) -> None:
+        simulate(Rig.build(self._scene.rig.model_dump(mode="json")), seconds, record=self._scene.out / "run.mcap")
+
+
+@pytest.mark.long
+@pytest.mark.replaces_methods
+@pytest.mark.usefixtures("no_signals")
+def test_a_frequency_response_that_is_held_up_in_most_passes_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A few ticks are missing, too few to count, but in nearly every pass."""
+
+    def held_up(run: Run) -> None:
+        whole = np.arange(len(run.time)) % 800 >= 3
+        run.columns = {name: column[whole] for name, column in run.columns.items()}
+
+    monkeypatch.setattr(live, "Demo", Whole)
+    monkeypatch.setattr(live, "TRIES", 1)
+    monkeypatch.setattr(live, "load_run", recorded(held_up))
+    with pytest.raises(LiveError, match=r"x, frequency: \d pairs of passes with the multisine \(at least 4\)"):
+        experiments(tmp_path, [])(a_trial("frequency", "local", tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["x-frequency.part"]
 
 
 @pytest.mark.replaces_methods
