@@ -14,6 +14,7 @@ from hil.control.laws.motion_observer import Channel, MotionModel, MotionObserve
 from hil.control.laws.presliding_kalman import PreslidingKalman
 from hil.control.nominal_model import rig_model
 from hil.rig.file import load_rig
+from hil.rig.measured_table import MeasuredConfig
 from hil.rig.schema import LawConfig, RigConfig
 from tests.golden.laws.tell import play
 from tests.support.paths import RIGS
@@ -164,6 +165,28 @@ def test_a_loop_whose_further_resonance_is_stated_has_the_margins(
     """Of hard stages, on the model and with all resonances 10 % off."""
     others = [[[at, damping, load]] for at in hertz] + [[[hertz[0], damping, load], [1.5 * hertz[0], damping, load]]]
     assert [one.lacks() for one in _problems(first_hz, others)] == []
+
+
+@pytest.mark.long
+def test_a_loop_has_the_margins_of_a_measured_axis_with_further_resonances() -> None:
+    """As four hard stages were identified, whose friction varies, too: learning that takes a part of the margins."""
+    others = [
+        [[242.0, 0.0101, 0.075], [429.0, 0.0164, 0.069]],
+        [[263.0, 0.0169, 0.06], [380.0, 0.0156, 0.056]],
+        [[283.0, 0.0053, 0.07], [310.0, 0.0113, 0.072]],
+        [[307.0, 0.0168, 0.072], [327.0, 0.0105, 0.039]],
+    ]
+    rig = load_rig(RIGS / "microscope.toml", ["law.name=presliding-kalman"])
+    stated = _stated(rig, dict(zip(rig.axes, others, strict=True)), 150.0)
+    axes = {}
+    for name, axis in stated.axes.items():
+        model = axis.model.model_copy(update={"torque_lag": 2e-4, "friction_period": 8e-4})
+        measured = {key: [getattr(model, key), 0.0] for key in ("mass", "torque_lag", "mode_frequency_hz")}
+        measured |= {f"other_mode_{n}_frequency_hz": [one[0], 0.0] for n, one in enumerate(model.other_modes, 1)}
+        axes[name] = axis.model_copy(update={"model": model, "measured": MeasuredConfig.model_validate(measured)})
+        assert axes[name].tolerances.known == 1.0
+    findings = check_corners(stated.model_copy(update={"axes": axes}))
+    assert [one.lacks() for one in findings if one.lacks()] == []
 
 
 @pytest.mark.long

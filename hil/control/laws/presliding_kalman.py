@@ -39,7 +39,7 @@ from typing import Any, ClassVar
 from hil.control.gain import TINIEST, Gain, Knob, with_defaults
 from hil.control.laws.base import Law, LawInputs, Model
 from hil.control.laws.breakaway import anywhere
-from hil.control.laws.friction_wave import WAVES, FrictionWave
+from hil.control.laws.friction_wave import WAVES, FrictionWave, fine
 from hil.control.laws.friction_weights import WEIGHTS, FrictionWeights
 from hil.control.laws.motion_observer import Channel, Gains, MotionModel, MotionObserver, as_designed
 from hil.control.laws.other_modes import noises, slowed
@@ -56,6 +56,7 @@ STRETCH = 4.0  # s stays within this many times the coarsest reach
 LEAST_PITCH = 1e-3  # m: of the table
 TABLE_LIMIT, LARGEST_STEP = 0.5, 0.2  # of the friction; of the table's change in a period
 CENTRE = 0.125
+BESIDE_WAVE = 0.9  # of the bandwidth, on a flexible axis: learning a wave of friction costs 2 of the 30 degrees
 CREEPING = 0.5  # of the finest reach: a larger error is an arrival or a step, after which a ramp would overshoot
 KEPT = WEIGHTS + 2 * NODES + WAVES  # numbers of a learnt state before its force
 
@@ -173,7 +174,10 @@ class PreslidingKalman(Law):
         guided, known = full_like(shape, model.presliding_greatest), full_like(shape, model.known)
         own = {name: of_model(name, swings, guided, known) for name in OF_MODE}
         own["table_pitch"] = at_least(full_like(shape, model.travel) * (1.0 / LAST_CELL), LEAST_PITCH)
-        return slowed(own, model, period)
+        own = slowed(own, model, period)
+        turns = (swings > 0.0) & fine(full_like(shape, model.friction_period), own["table_pitch"])
+        own["bandwidth"] = own["bandwidth"] * select(turns, full_like(shape, BESIDE_WAVE), full_like(shape, 1.0))
+        return own
 
     def learn_repeats(self, repeat_ns: int, from_ns: int) -> None:
         """See Law."""
