@@ -10,6 +10,7 @@ from hil.rig.file import load_rig
 from hil.studies.evidence.stages import nominal, plant_of
 from hil.studies.evidence.stages import only as axes_only
 from tests.benchmarks.first_strokes import alone
+from tests.benchmarks.hidden_stages import hidden
 from tests.support.paths import RIGS
 
 
@@ -33,3 +34,13 @@ def test_a_stated_resonance_that_is_not_there_is_written_as_none() -> None:
     found = identify(stage, Path(), ["x"], lambda text: None, only=("push", "frequency"))["x"]
     assert "no resonance" in found.refused["mode"]
     assert model_values(found.found)["mode_frequency_hz"] == 0.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [3, 13, 19])
+def test_a_weight_whose_mass_is_stated_twice_too_large_is_held(number: int) -> None:
+    """A loop of 25 Hz swung at 64 Hz on the friction's stiffness, and the push ended in OSCILLATION."""
+    rig, truth = hidden("z", 20261128, number, 150.0, None)
+    assert rig.axes["z"].model.mass == pytest.approx(2.0 * truth["mass"])
+    findings = identify(rig, Path(), ["z"], lambda text: None, only=("push",))["z"]
+    assert (findings.ended, findings.refused) == ("", {})

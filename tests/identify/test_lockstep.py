@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.identify.experiments import EXPERIMENTS, ROW_S, Known, Plan, rig_document
+from hil.identify.experiments import EXPERIMENTS, HOLD_HZ, ROW_S, Known, Plan, rig_document
 from hil.identify.findings import from_run
 from hil.identify.lockstep import Trial, identify, in_virtual_time
 from hil.rig.file import load_rig
@@ -69,7 +69,7 @@ def test_an_axis_with_a_weight_comes_first_and_is_then_held_by_what_was_found() 
     assert [trial.axis for trial in trials] == ["z", "x"]
     first, second = (trial.document["law"]["gains"] for trial in trials)
     assert "bandwidth_hz" not in first, "no other axis has a weight"
-    assert (second["bandwidth_hz"], second["gravity"][2]) == ([10.0, 10.0, 25.0, 10.0], 2.45)
+    assert (second["bandwidth_hz"], second["gravity"][2]) == ([10.0, 10.0, HOLD_HZ, 10.0], 2.45)
 
 
 @pytest.mark.long
