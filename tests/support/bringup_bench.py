@@ -9,8 +9,10 @@ from hil.operate.bringup.session import Procedure
 from hil.operate.bringup.survey import Survey, SurveyReport
 from hil.rig.schema import RigConfig
 from sim_plant.emulator import EmulatedStage
+from tests.support.bought_drives import RIGS_OF, write_files
 
 _ANSWER_NS = 200_000
+KINDS = ["cia402", "moteus", "odrive", "vesc"]
 
 
 class BringupBench:
@@ -59,3 +61,27 @@ class BringupBench:
         survey = Survey(self.host)
         self.run(survey)
         return survey.report()
+
+
+def bench_of(kind: str, folder: Path, **plant: object) -> BringupBench:
+    """A rig of bought drives of that kind. plant: keys of its [plant.drive]."""
+    write_files(folder)
+    rig = RIGS_OF[kind]()
+    rig["plant"]["drive"] |= plant
+    return BringupBench(RigConfig.model_validate(rig), folder)
+
+
+class Keys:
+    """A keyboard: `held` repeats at 30 Hz while it is set."""
+
+    def __init__(self, bench: BringupBench) -> None:
+        self._bench = bench
+        self._next_ns = 0
+        self.held = ""
+
+    def __call__(self) -> str:
+        """What was pressed since the last call."""
+        if not self.held or self._bench.now_ns < self._next_ns:
+            return ""
+        self._next_ns = self._bench.now_ns + 33_000_000
+        return self.held

@@ -15,7 +15,7 @@ from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.output import write_json
 from hil.live.stop_line import RigInUseError
 from hil.operate.bringup.drive_host import DriveHost
-from hil.operate.bringup.jog import NEGATIVE, POSITIVE, Jog, JogSettings, jog_settings
+from hil.operate.bringup.jog import NEGATIVE, POSITIVE, Jog, JogSettings, Unlatch, jog_settings
 from hil.operate.bringup.report_text import as_document, show
 from hil.operate.bringup.session import Bus, Session, open_rig_port, open_session
 from hil.operate.bringup.survey import Survey, SurveyReport
@@ -132,6 +132,7 @@ def _jog(session: Session, report: SurveyReport, settings: JogSettings, keys: Ca
     )
     jog = Jog(session.host, settings, keys)
     try:
+        session.run(Unlatch(session.host, settings.axis))
         session.run(jog)
     finally:
         session.release()

@@ -78,10 +78,10 @@ class DriveHost:
         """Something was told to the drives."""
         return self._sequence >= 0
 
-    def zero(self) -> list[Frame]:
-        """The frames of one tick: zero force, every drive disabled."""
+    def zero(self, *, reset: bool = False) -> list[Frame]:
+        """The frames of one tick: zero force, every drive disabled. reset: the drives' reset bit."""
         self._sequence += 1
-        return self._gate.zero(self._sequence)
+        return self._gate.zero(self._sequence, reset)
 
     def position(self, axis: int) -> float | None:
         """Newest position, m (rad)."""

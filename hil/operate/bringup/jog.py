@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from drivers.frame import Frame
 from drivers.protocols.base import UNHEALTHY, DriveStatus
+from hil.cycle.supervisor import RESET_TICKS
 from hil.operate.bringup.drive_host import DriveHost
 from hil.rig.schema import RigConfig
 
@@ -21,6 +22,8 @@ POSITIVE, NEGATIVE = "p", "n"
 KEY_TIMEOUT_S = 0.3
 SPEED = 0.05  # of limits.speed, where no speed is asked for
 DISTANCE = 0.05  # of the travel, where no distance is asked for
+UNLATCH_S = 2.0  # at most; and at least so many ticks, in which answers to the reset come:
+_UNLATCH_LEAST_TICKS = 10 * RESET_TICKS
 _LOST_S = 0.05  # without a position; and never less than so many periods of it:
 _LOST_PERIODS = 4
 _WINDOW = 4  # ticks over which speed is taken
@@ -46,11 +49,14 @@ def jog_settings(
     if name not in rig.axes:
         raise ValueError(f"axis {name!r}: the rig has {', '.join(rig.axes)}")
     axis = rig.axes[name]
+    most = axis.limits.force - abs(axis.model.gravity)
     if force is None:
         if axis.push is None:
-            raise ValueError(f"axis {name}: state the greatest force; axes.{name}.push is not there to take it from")
+            raise ValueError(
+                f"--force: state the greatest force, above 0 and at most {most:g}; the rig has no axes.{name}.push "
+                f"to take it from. A first try: {min(most, 3.0 * axis.model.coulomb) or most:.2g}"
+            )
         force = axis.push.force
-    most = axis.limits.force - abs(axis.model.gravity)
     if not 0.0 < force <= most:
         raise ValueError(f"force {force:g}: above 0, and with gravity at most axes.{name}.limits.force: {most:g}")
     low, high = axis.limits.position
@@ -61,6 +67,27 @@ def jog_settings(
     if not 0.0 < distance <= high - low:
         raise ValueError(f"distance {distance:g}: above 0, at most the travel {high - low:g}")
     return JogSettings(list(rig.axes).index(name), force, speed, distance)
+
+
+class Unlatch:
+    """Reset the drives at zero force until the one of the axis is well, for UNLATCH_S at most; `step` until `done`.
+
+    A drive whose host fell silent may have latched its watchdog: after another session, and while a report is shown.
+    """
+
+    def __init__(self, host: DriveHost, axis: int) -> None:
+        self.host, self._axis = host, axis
+        self._tick = 0
+        self._most_ticks = round(UNLATCH_S * 1e9 / host.rig.period_ns)
+        self.done = False
+
+    def step(self, now_ns: int, frames: Sequence[Frame]) -> list[Frame]:
+        """One tick: the frames received since the last one, and those to send now."""
+        self.host.take(frames, now_ns)
+        self._tick += 1
+        well = not self.host.status(self._axis) & UNHEALTHY and not self.host.problem(self._axis)
+        self.done = self._tick > self._most_ticks or (well and self._tick > _UNLATCH_LEAST_TICKS)
+        return self.host.zero(reset=RESET_TICKS < self._tick <= 2 * RESET_TICKS)
 
 
 class Jog:
