@@ -5,6 +5,7 @@ without anybody's help. From elsewhere (--connect) over TLS, where the sidecar a
 """
 
 import contextlib
+import shlex
 import signal
 import sys
 import time
@@ -15,6 +16,7 @@ from typing import Annotated
 
 import typer
 
+from drivers.base.text_file import printable
 from hil.analysis.task_figures import excursion_notes
 from hil.cli.exit_status import EXIT_UNAVAILABLE
 from hil.cli.options import shipped_rig
@@ -105,14 +107,28 @@ def _document(rig: RigConfig, action: Action, file: Path | None, overrides: Sequ
 
 
 def config_of(rig: Path) -> RigConfig:
-    """The rig of a file, of the running rig of that name, or of a shipped one. Raises RigError, FileNotFoundError."""
+    """The rig of a file, of the running rig of that name, or of a shipped one. Raises RigError; typer.Exit with status
+    69, having said how a rig is started, where there is none of that name.
+    """
     if rig.exists() or len(rig.parts) > 1:
         return load_rig(rig)
     with contextlib.suppress(NoGatewayError), at_hand(str(rig)) as client:
         return client.rig()
-    found = shipped_rig(rig)
+    try:
+        found = shipped_rig(rig)
+    except FileNotFoundError as error:
+        file = rig.with_suffix(".toml")
+        words = f"hil: {rig}: no rig of that name runs here, and {error.strerror}"
+        print(printable(words), file=sys.stderr)
+        print(printable(_how_to_start(str(file) if file.exists() else "FILE")), file=sys.stderr)
+        raise typer.Exit(EXIT_UNAVAILABLE) from None
     assert found is not None
     return load_rig(found)
+
+
+def _how_to_start(file: str) -> str:
+    rig = shlex.quote(file)
+    return f"hil: start it: hil run {rig}, and beside it hil sidecar {rig}; on an emulated stage: hil demo {rig} --hold"
 
 
 def at_hand(rig: str) -> CommandClient:

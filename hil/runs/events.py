@@ -106,6 +106,8 @@ def _of_rig(client: RigClient, name: str, *, as_json: bool, follow: bool, remote
     except NoSidecarError:
         if remote:
             raise
+        if not (ring := runtime_paths(name).ring).exists():
+            raise NoSidecarError(f"{name}: no rig of that name runs here, and none left its ticks in {ring}") from None
         show(of_ring(name), as_json=as_json)
         print("hil events: no sidecar answers; these are the events that the ring still holds", file=sys.stderr)
     while follow:

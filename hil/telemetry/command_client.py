@@ -203,7 +203,7 @@ def local_client(directory: Path) -> CommandClient:
         connection.close()
         nobody = error.errno in (errno.ENOENT, errno.ECONNREFUSED)
         why = "no sidecar listens there" if nobody else words_of(error)
-        raise NoGatewayError(f"{path}: {why}; `hil sidecar {directory.name}` starts one, as this user") from None
+        raise NoGatewayError(f"{path}: {why}; `hil sidecar FILE` starts one, as this user") from None
     except NoGatewayError:
         connection.close()
         raise

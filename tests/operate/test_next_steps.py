@@ -10,6 +10,7 @@ from hil.operate.command import Action, next_step
 from hil.operate.demo import this_command
 from hil.rig.extras import install_command
 from hil.telemetry.command_client import Verdict
+from tests.support.command_line import CommandLine
 from tests.support.paths import ROOT
 
 
@@ -49,3 +50,24 @@ def test_a_missing_extra_is_installed_where_hil_is() -> None:
     assert words == ["-m", "pip", "install", "hil[page]"]
     done = subprocess.run([program, "-c", "import hil"], cwd=ROOT, check=False)
     assert done.returncode == 0
+
+
+@pytest.mark.parametrize("words", ["home", "move x=1mm", "jog x=1mm/s", "command stop", "accuracy --live"])
+def test_a_rig_that_does_not_run_is_told_with_how_to_start_it(
+    words: str, hil_here: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    verb, *rest = words.split()
+    here = hil_here(verb, "my-stage", *rest)
+    assert here.returncode == 69
+    assert "my-stage: no rig of that name runs here" in here.stderr
+    assert "hil run FILE" in here.stderr
+    (tmp_path / "my-stage.toml").write_text("")
+    here = hil_here(verb, "my-stage", *rest)
+    assert "hil run my-stage.toml, and beside it hil sidecar my-stage.toml" in here.stderr
+
+
+def test_events_of_a_rig_that_never_ran_say_so(hil_here: CommandLine) -> None:
+    here = hil_here("events", "my-stage")
+    assert here.returncode == 69
+    assert "my-stage: no rig of that name runs here" in here.stderr
