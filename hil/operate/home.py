@@ -15,8 +15,8 @@ from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
 from hil.live.ring import RingError, RingReader
 from hil.live.runtime_paths import nearest
-from hil.operate.command import at_hand, config_of
-from hil.telemetry.command_client import NoGatewayError
+from hil.operate.command import Action, at_hand, config_of, next_step
+from hil.telemetry.command_client import NoGatewayError, Verdict
 
 FIELDS = ("index", "state", "fault", "homing", "evidence_of", "evidence_value", "n_evidence")
 LONGEST_S = 600.0
@@ -36,7 +36,7 @@ def home(
         with at_hand(name) as client:
             verdict = client.command(CommandKind.HOME)
         if not verdict.accepted:
-            print(f"hil home: {verdict.reason}", file=sys.stderr)
+            print("\n".join(refusal(name, verdict)), file=sys.stderr)
             raise typer.Exit(1)
         with nearest(name, _ring, RingError) as ring:
             ring.next = max(ring.written - 1, 0)
@@ -45,6 +45,12 @@ def home(
         print(f"hil home: {error}", file=sys.stderr)
         raise typer.Exit(EXIT_UNAVAILABLE) from None
     raise typer.Exit(status)
+
+
+def refusal(name: str, verdict: Verdict) -> list[str]:
+    """What to say of a refused homing, with what to do next where there is something."""
+    step = next_step(Action.HOME, name, verdict)
+    return [f"hil home: {verdict.reason}", *([f"hil home: next: {step}"] if step else [])]
 
 
 def _ring(directory: Path) -> RingReader:

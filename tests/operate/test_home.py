@@ -7,6 +7,7 @@ import pytest
 from hil.cli.exit_status import EXIT_FAULT, EXIT_UNAVAILABLE
 from hil.live.ring import RingReader, RingWriter
 from hil.operate import home
+from hil.telemetry.command_client import Verdict
 from tests.support.homing import home_once, homing_rig
 
 
@@ -41,3 +42,14 @@ def test_a_failure_names_axis_reason_and_what_to_look_at(tmp_path: Path, capsys:
 
 def test_a_control_process_that_ends_on_the_way_is_told(tmp_path: Path) -> None:
     assert watched("sound", tmp_path, cut=400) == EXIT_UNAVAILABLE
+
+
+def test_a_refusal_says_what_to_do_next() -> None:
+    told = home.refusal("r", Verdict(False, "HOME is not possible in state ACTIVE", "ACTIVE"))
+    assert told == [
+        "hil home: HOME is not possible in state ACTIVE",
+        "hil home: next: hil command r stop, then hil command r home",
+    ]
+    assert home.refusal("r", Verdict(False, "refused: no recorder is alive", "READY")) == [
+        "hil home: refused: no recorder is alive"
+    ]
