@@ -126,9 +126,11 @@ class CornerFinding:
         gain, phase = self.asked
         if least or (self.gain_db >= gain and self.phase_deg >= phase):
             return ""
-        short = [f"a gain margin of {self.gain_db:.1f} dB (at least {gain:g})"] if self.gain_db < gain else []
+        short = []  # rounded, but never up to what is asked
+        if self.gain_db < gain:
+            short.append(f"a gain margin of {min(self.gain_db, gain - 0.1):.1f} dB (at least {gain:g})")
         if self.phase_deg < phase:
-            short.append(f"a phase margin of {self.phase_deg:.0f} deg (at least {phase:g})")
+            short.append(f"a phase margin of {min(self.phase_deg, phase - 1.0):.0f} deg (at least {phase:g})")
         return f"{' and '.join(short)} at {self.frequency_hz:.0f} Hz"
 
     def as_json(self) -> dict[str, Any]:
