@@ -1,5 +1,6 @@
 """What an identification found, as a table for people and as a document for programs."""
 
+import re
 from typing import Any
 
 from rich.console import Console
@@ -11,12 +12,19 @@ from hil.identify.written import OTHER_KEYS, measured_values, model_values
 from hil.rig.measured_table import changed
 from hil.rig.schema import RigConfig
 
+ROTARY = {"kg": "kg m^2", "N": "N m", "m": "rad", "um": "urad", "N s/m": "N m s/rad", "N/m": "N m/rad", "N s": "N m s"}
+_AMOUNT = re.compile(rf"(?<=[0-9] )(?:{'|'.join(sorted(ROTARY, key=len, reverse=True))})(?![\w/])")
+
 
 def show(console: Console, rig: RigConfig, findings: dict[str, Findings]) -> None:
     """Values, what a motion that no fit used left unexplained, refusals, and changes since the last identification."""
     table = Table(title=f"{rig.name}: identified, with 95 % intervals")
     for column in ("axis", "quantity", "value", "half width", "unit", "rig file"):
-        table.add_column(column, justify="right" if column in ("value", "half width", "rig file") else "left")
+        table.add_column(
+            column,
+            justify="right" if column in ("value", "half width", "rig file") else "left",
+            overflow="fold",  # names differ at their ends
+        )
     for name, one in findings.items():
         for quantity, estimate in one.found.items():
             cells = (f"{estimate.value:.5g}", f"{estimate.half_width:.2g}", _unit(estimate, rig.axes[name].kind))
@@ -29,7 +37,8 @@ def show(console: Console, rig: RigConfig, findings: dict[str, Findings]) -> Non
             text = f"{name}: {error:.2g} {unit} RMS unexplained in a motion that no fit used, {own:.2g} {unit} in moves"
             console.print(text, markup=False, highlight=False, soft_wrap=True)
         for quantity, why in one.refused.items():
-            console.print(f"{name}: {quantity} refused: {why}", markup=False, highlight=False, soft_wrap=True)
+            text = f"{name}: {quantity} refused: {_why(why, rig.axes[name].kind)}"
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
         for text in _changes(rig, name, one):
             console.print(f"{name}: changed: {text}", markup=False, highlight=False, soft_wrap=True)
 
@@ -41,11 +50,12 @@ def _changes(rig: RigConfig, axis: str, one: Findings) -> list[str]:
 
 
 def _unit(estimate: Estimate, kind: str) -> str:
-    if kind == "linear":
-        return estimate.unit
-    return {"kg": "kg m^2", "N": "N m", "m": "rad", "N s/m": "N m s/rad", "N/m": "N m/rad", "N s": "N m s"}.get(
-        estimate.unit, estimate.unit
-    )
+    return estimate.unit if kind == "linear" else ROTARY.get(estimate.unit, estimate.unit)
+
+
+def _why(text: str, kind: str) -> str:
+    """A refusal with the units of the axis: the fits write those of a linear one."""
+    return text if kind == "linear" else _AMOUNT.sub(lambda found: ROTARY[found[0]], text)
 
 
 def _stated(rig: RigConfig, axis: str, quantity: str) -> str:
@@ -66,8 +76,11 @@ def as_document(rig: RigConfig, findings: dict[str, Findings], evidence: str) ->
     """All of it, for JSON."""
     axes = {
         name: {
-            "found": {quantity: estimate._asdict() for quantity, estimate in one.found.items()},
-            "refused": one.refused,
+            "found": {
+                quantity: estimate._replace(unit=_unit(estimate, rig.axes[name].kind))._asdict()
+                for quantity, estimate in one.found.items()
+            },
+            "refused": {quantity: _why(why, rig.axes[name].kind) for quantity, why in one.refused.items()},
             "validation": one.validation,
             "model": model_values(one.found),
             "changes": _changes(rig, name, one),

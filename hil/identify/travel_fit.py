@@ -141,10 +141,10 @@ def _allow_for(falls: Falling, found: dict[str, Estimate], refused: dict[str, st
             found[name] = one
         else:
             del found[name]
-            refused[name] = (
-                f"friction falls with speed: {one.value:.3g} +- {one.half_width:.2g} {one.unit} by the speeds passed "
-                f"(at most {100 * WIDEST:.0f} %)"
-            )
+            told = f"{one.value:.3g} +- {one.half_width:.2g} {one.unit} by the speeds passed (at most {WIDEST:.0%})"
+            if not math.isfinite(one.half_width):
+                told = f"about {one.value:.3g} {one.unit}, and it may fall on beyond the speeds passed"
+            refused[name] = f"friction falls with speed: {told}"
 
 
 WAVES = ((True, "friction_variation", "friction_period"), (False, "cogging_amplitude", "cogging_period"))
