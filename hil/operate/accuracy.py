@@ -153,6 +153,8 @@ def accuracy(
         _tell(console, kinds, rows, said, picture, json_target, "reference")
         if write:
             write_corrected(rig, config, reference, write)
+            if config.law.learnt:
+                console.print("law.learnt is left out: it was learnt without this correction", soft_wrap=True)
             console.print(f"written to {write}; next: hil accuracy {write}", markup=False, soft_wrap=True)
         return
     of = config_of(rig).name if live else load_rig(rig, overrides or ())

@@ -51,8 +51,8 @@ def _uncorrected(error_map: ErrorMap, corrected: Array) -> Array:
 
 
 def write_corrected(rig: Path, config: RigConfig, reference: Path, target: Path) -> None:
-    """A new rig file: that of `rig`, with the error map of every axis that the file of readings has. Raises RigError,
-    and OSError where `target` cannot be written.
+    """A new rig file: that of `rig`, with the error map of every axis that the file of readings has, and without
+    law.learnt, which was learnt at other positions. Raises RigError, and OSError where `target` cannot be written.
     """
     names = config.axis_names
     read, by_encoder = read_reference(reference, names), read_reference(reference, names, ENCODER)
@@ -71,6 +71,8 @@ def write_corrected(rig: Path, config: RigConfig, reference: Path, target: Path)
 def _rig_text(source: Path, found: Mapping[str, ErrorMapConfig], evidence: str) -> str:
     document = tomlkit.parse(source.read_text(encoding="utf-8"))
     axes: Any = document["axes"]
+    law: Any = document.get("law", {})
+    law.pop("learnt", None)
     for name, error_map in found.items():
         table = tomlkit.table()
         table["position"], table["correction"] = error_map.position, error_map.correction

@@ -1,6 +1,7 @@
 """Readings of a reference instrument become a rig whose axis is where it says."""
 
 import csv
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,9 @@ from hil.operate.accuracy import _by_encoder, approaches
 from hil.operate.approach_file import Deviations, write_approaches
 from hil.operate.error_map_file import corrections, write_corrected
 from hil.rig.error_map_table import ErrorMapConfig
+from hil.rig.file import learning_hash, learning_hashes, load_rig
+from hil.rig.learnt_file import write_learnt_file
+from tests.support.command_line import CommandLine
 from tests.support.paths import RIGS
 
 WRONG_SCALE = ["plant.encoder_resolution=[5.001e-9,5e-9,5e-9,5e-9]", "axes.x.encoder_resolution=5e-9"]  # by 2e-4
@@ -83,3 +87,23 @@ def test_a_map_needs_readings(tmp_path: Path) -> None:
     done = CliRunner(env={"COLUMNS": "200"}).invoke(build_app("accuracy"), words)
     assert done.exit_code == 2
     assert "needs the readings of --reference FILE" in done.output
+
+
+def test_a_corrected_file_runs_without_what_was_learnt_before(tmp_path: Path, hil_here: CommandLine) -> None:
+    source, learnt = tmp_path / "stage.toml", tmp_path / "stage.learnt.json"
+    shutil.copy(RIGS / "microscope.toml", source)
+    plain = load_rig(source)
+    state: dict[str, list[float]] = {axis: [] for axis in plain.axes}
+    write_learnt_file(learnt, plain.name, learning_hash(plain), learning_hashes(plain), state)
+    name = 'name = "presliding-kalman"'
+    source.write_text(source.read_text().replace(name, f'{name}\nlearnt = "{learnt.name}"'))
+    assert load_rig(source).law.learnt
+    readings, written = tmp_path / "readings.csv", tmp_path / "corrected.toml"
+    stops = [f"x,{run},{way}" for run in (1, 2) for way in ("up", "down")]
+    rows = [f"{stop},{at},{at},{1.0001 * at}" for stop in stops for at in (-0.01, 0.01)]
+    readings.write_text("\n".join(["axis,run,direction,target,encoder,reference", *rows]))
+    done = hil_here("accuracy", str(source), "--reference", str(readings), "--write", str(written))
+    assert done.returncode == 0, done.stderr
+    assert "law.learnt is left out" in done.stdout
+    corrected = load_rig(written)
+    assert (corrected.law.learnt, corrected.axes["x"].error_map is not None) == ("", True)
