@@ -89,8 +89,8 @@ ROWS: Final = (
         states=MOVING,
         measured="estimated speed",
         unit="m/s",
-        cause="the axis runs away: wrong direction, wrong force constant",
-        action=f"hil check, {RESET}",
+        cause="the axis runs away: wrong direction, wrong force constant, or a resonance that its model lacks",
+        action=f"hil check, or hil identify for mass and resonance, {RESET}",
         trials=(Trial("law asks for 1e9"),),
     ),
     Row(
