@@ -49,7 +49,11 @@ def crew(workers: int, scheduler: str = "", method: Literal["fork", "spawn"] = "
 @contextmanager
 def _processes(workers: int, method: Literal["fork", "spawn"]) -> Iterator[Crew]:
     with worker_pool(workers, method) as pool:
-        yield Crew(lambda function, work: pool.map(function, work), workers)
+        try:
+            yield Crew(lambda function, work: pool.map(function, work), workers)
+        except BaseException:  # Ctrl-C above all: leaving the pool would do all other jobs first
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 @contextmanager
