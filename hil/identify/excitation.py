@@ -4,7 +4,9 @@ Named in a rig in full, as a law of users is (hil/rig/law_names.py). Gate, fault
 those of every other run.
 """
 
+import cmath
 import math
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 from hil.control.gain import Gain
@@ -38,22 +40,33 @@ def multisine_lines(period: float) -> list[int]:
 
 def multisine_table(period: float) -> list[float]:
     """One period at unit amplitude of each line, a value a tick of `period` s: Schroeder's phases keep its peak low."""
-    lines, n = multisine_lines(period), round(PERIOD_S / period)
-    phases = [-math.pi * k * (k + 1) / len(lines) for k in range(len(lines))]
-    waves = list(zip(lines, phases, _sizes(lines), strict=True))
-    return [sum(a * math.cos(2.0 * math.pi * line * i / n + b) for line, b, a in waves) for i in range(n)]
+    return _sum(multisine_lines(period), period, lambda s: 1.0)
 
 
-def multisine_way(mass: float) -> float:
-    """RMS way, m, of an axis of that mass (kg) in the loop below, with 1 N a line; at slow rates hardly less, as the
-    last lines move it least.
+def multisine_motion(mass: float) -> tuple[float, float]:
+    """RMS way, m, and greatest speed, m/s, of an axis of that mass (kg) in the loop below, with 1 N a line; at slow
+    rates hardly less, as the last lines move it least.
     """
-    omega0, square = 2.0 * math.pi * BANDWIDTH_HZ, 0.0
+    stiffness, damping = _loop(1.0, BANDWIDTH_HZ)
+    corner = 2.0 * math.pi * FILTER_HZ
+
+    def given(s: complex) -> complex:
+        passed = corner * corner / (corner * corner + 2.0 * FILTER_DAMPING * corner * s + s * s)
+        return 1.0 / (s * s + passed * (stiffness + damping * s))
+
     lines = multisine_lines(FULL_PERIOD_S)
-    for line, size in zip(lines, _sizes(lines), strict=True):
-        omega = 2.0 * math.pi * line / PERIOD_S
-        square += 0.5 * (size / abs(complex(omega0 * omega0 - omega * omega, 2.0 * DAMPING * omega0 * omega))) ** 2
-    return math.sqrt(square) / mass
+    way = _sum(lines, FULL_PERIOD_S, given)
+    speed = _sum(lines, FULL_PERIOD_S, lambda s: s * given(s))
+    return math.sqrt(sum([each * each for each in way]) / len(way)) / mass, max(map(abs, speed)) / mass
+
+
+def _sum(lines: list[int], period: float, answer: Callable[[complex], complex]) -> list[float]:
+    """One period of the multisine's lines behind a linear answer at s = i omega, a value a tick of `period` s."""
+    n, waves = round(PERIOD_S / period), []
+    for k, (line, size) in enumerate(zip(lines, _sizes(lines), strict=True)):
+        size, phase = cmath.polar(size * answer(2.0j * math.pi * line / PERIOD_S))
+        waves.append((line, size, phase - math.pi * k * (k + 1) / len(lines)))
+    return [sum(size * math.cos(2.0 * math.pi * line * i / n + phase) for line, size, phase in waves) for i in range(n)]
 
 
 def _sizes(lines: list[int]) -> list[float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.cycle.limits import oscillation_limit
 from hil.identify.estimate import Array
-from hil.identify.excitation import GROWING, MULTISINE, PERIOD_S, TRIANGLES, Excitation, multisine_way
+from hil.identify.excitation import GROWING, MULTISINE, PERIOD_S, TRIANGLES, Excitation, multisine_motion
 from hil.rig.law_names import EXPERIMENT
 from hil.rig.schema import AxisConfig, RigConfig
 
@@ -34,6 +34,8 @@ LOOP_HZ, LOOP_CYCLES = 2.5, 21
 LOOPS = (1.3, 0.1)  # of Coulomb friction, first and last: the first leaves the bristle in a known state
 LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine, at most
 SWING_SHARE = 0.1  # of limits.oscillation, RMS that the multisine moves the axis by, at most
+# Of a pass' speed, the greatest that the multisine adds: friction must not turn, though the mass be 1.7 times too big.
+PEAK_SHARE = 0.5
 TURN_S = 0.15  # at rest between passes: else the swings of one and the turn behind it count as an oscillation
 SETTLE_S = 0.3  # of a pass at speed, before its periods
 PASS_PERIODS, PASSES = 2, 12
@@ -134,8 +136,9 @@ def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     each = (path.seconds - lead) / PASSES
     path.go_to(0.0)
     begin = approach_s + lead
-    swings = SWING_SHARE * oscillation_limit(axis.limits) / multisine_way(known.mass)
-    gains = _gains(axis, known, shape=MULTISINE, amplitude=min(LINE_SHARE * known.coulomb, swings), from_s=begin,
+    way, peak = multisine_motion(known.mass)
+    swings, turns = SWING_SHARE * oscillation_limit(axis.limits) / way, PEAK_SHARE * speed / peak
+    gains = _gains(axis, known, shape=MULTISINE, amplitude=min(LINE_SHARE * known.coulomb, swings, turns), from_s=begin,
                    until_s=begin + PASSES * each, alternate_s=2.0 * each)  # fmt: skip
     return Plan(path.rows(), gains, path.spans_from(approach_s))
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hil.control.laws.base import Model
-from hil.identify.excitation import GROWING, Excitation, multisine_lines, multisine_table, multisine_way
-from tests.identify.stages import PERIOD, Bristle, record
+from hil.identify.excitation import GROWING, MULTISINE, Excitation, multisine_lines, multisine_motion
+from tests.identify.stages import PERIOD, Bristle, Coulomb, record
 
 MASS, COULOMB, WEIGHT, FROM_S = 0.25, 0.2, 2.45, 1.5
 
@@ -63,15 +63,13 @@ def test_the_loop_is_filtered_where_an_unknown_resonance_may_be() -> None:
     assert passed(150.0) < 0.35
 
 
-def test_the_way_of_a_multisine_is_what_a_mass_in_the_loop_goes() -> None:
-    table = multisine_table(PERIOD)
-    omega, x, v, way = 2.0 * math.pi * 10.0, 0.0, 0.0, []
-    for k in range(4000):
-        for _ in range(10):
-            v += (table[k % len(table)] / MASS - 1.6 * omega * v - omega * omega * x) * PERIOD / 10
-            x += v * PERIOD / 10
-        way.append(x)
-    assert float(np.std(way[2000:])) == pytest.approx(multisine_way(MASS), rel=0.05)
+def test_the_way_and_the_speed_of_a_multisine_are_those_of_a_mass_in_the_loop() -> None:
+    asked = at_rest(law(shape=MULTISINE, amplitude=0.01, until_s=4.0))
+    _, position = record(Coulomb(0.0), asked, 3.0, MASS, 0.0)
+    swing, speed = position[1000:], np.diff(position[1000:]) / PERIOD
+    way, peak = multisine_motion(MASS)
+    assert float(np.std(swing)) == pytest.approx(0.01 * way, rel=0.05)
+    assert float(np.abs(speed).max()) == pytest.approx(0.01 * peak, rel=0.05)
 
 
 @pytest.mark.parametrize("begins", [0.0, 5e-3])
