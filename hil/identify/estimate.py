@@ -31,6 +31,13 @@ class Refused(Exception):
         self.reason = reason
 
 
+def damping(one: Estimate) -> Estimate:
+    """A viscous coefficient, which is not negative: 0 where the interval allows that. Raises Refused."""
+    if one.value + one.half_width < 0.0:
+        raise Refused(f"{one.value:.3g} +- {one.half_width:.2g} {one.unit}: friction falls with speed (at least 0)")
+    return one if one.value >= 0.0 else one._replace(value=0.0, half_width=one.half_width - one.value)
+
+
 def t95(freedom: int) -> float:
     """Student's t for a 95 % interval. freedom: at least 1."""
     return _T95[freedom - 1] if freedom <= len(_T95) else 1.96 + 2.6 / freedom

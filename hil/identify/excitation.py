@@ -52,7 +52,8 @@ def multisine_motion(mass: float) -> tuple[float, float]:
 
     def given(s: complex) -> complex:
         passed = corner * corner / (corner * corner + 2.0 * FILTER_DAMPING * corner * s + s * s)
-        return 1.0 / (s * s + passed * (stiffness + damping * s))
+        answer: complex = 1.0 / (s * s + passed * (stiffness + damping * s))
+        return answer
 
     lines = multisine_lines(FULL_PERIOD_S)
     way = _sum(lines, FULL_PERIOD_S, given)

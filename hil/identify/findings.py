@@ -150,8 +150,9 @@ def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
             f"positions shifted by {drift.value:.2g} between the first pass and the last (at most {most:.2g}): "
             "does the scale slip, or does something grow warm?"
         )
-    if fit.curves.falls:  # the loops are to reach friction at rest, which is larger
-        return replace(known, coulomb=float(fit.curves.friction_at_speed.max()))
+    if fit.curves.curved:  # the loops are to reach friction at rest: what is nearest to it
+        slowest = np.argmin(np.abs(fit.curves.speed))
+        return replace(known, coulomb=float(fit.curves.friction_at_speed[slowest]))
     return replace(known, coulomb=fit.found["coulomb"].value)
 
 
@@ -184,14 +185,15 @@ def _loops(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
             f"below Coulomb friction the axis moves {np.ptp(small) / of.count:.0f} encoder counts (at least "
             f"{LEAST_LOOP}): the encoder does not resolve its presliding"
         )
-    viscous = findings.found["viscous"].value if "viscous" in findings.found else axis.model.viscous
+    viscous = findings.travel.viscous if findings.travel else axis.model.viscous
     found, refused, findings.elements = friction_at_rest(record, known.mass, viscous)
-    if findings.elements or (findings.travel and findings.travel.falls):
+    if findings.elements or (findings.travel and findings.travel.curved):
         _over_stiffness(found, refused, findings, float(record.position.mean()))
     findings.found |= found
     findings.refused |= refused
-    if findings.slope and findings.travel and findings.travel.falls:
-        allow_for_late_friction(findings.found, findings.slope, findings.travel.falls.viscous)
+    bent = findings.travel.curved if findings.travel else None
+    if findings.slope and bent and not bent.drag:
+        allow_for_late_friction(findings.found, findings.slope, bent.viscous)
     return known
 
 
@@ -217,9 +219,7 @@ def _check(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
     """How much of the force of another motion the findings explain."""
     if findings.moved is None or findings.travel is None:
         raise Refused("without the experiment moves there is nothing to check")
-    model = AxisForces.of(
-        findings.found, findings.travel, known.mass, axis.model.viscous, _lag(findings), findings.elements
-    )
+    model = AxisForces.of(findings.found, findings.travel, known.mass, _lag(findings), findings.elements)
     findings.checked = model.held_against(of)
     error, own = findings.checked.rms, model.held_against(findings.moved).rms
     findings.validation = error, own

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from hil.identify.estimate import Array, Estimate, Refused, jackknife
+from hil.identify.estimate import Array, Estimate, Refused, damping, jackknife
 
 CORNER_HZ = 28.0  # of the Gaussian filter that all signals pass
 PLAY_COUNTS = 1.5  # of the encoder, ahead of the bristle: noise must not relax it
@@ -266,6 +266,10 @@ def _told(names: Sequence[str], x: Array, half: Array, count: float) -> tuple[di
             refused[name] = (
                 f"{value:.3g} +- {width:.2g} {UNITS[name]}: not enough motion (at most {100 * WIDEST:.0f} %)"
             )
-        else:
-            found[name] = Estimate(value, width, UNITS[name])
+            continue
+        one = Estimate(value, width, UNITS[name])
+        try:
+            found[name] = damping(one) if name == "viscous" else one
+        except Refused as negative:
+            refused[name] = negative.reason
     return found, refused

@@ -44,15 +44,13 @@ class AxisForces(NamedTuple):
         found: Mapping[str, Estimate],
         travel: TravelCurves,
         mass: float,
-        viscous: float,
         lag: float,
         elements: Elements | None = None,
     ) -> "AxisForces":
-        """By what was found; mass, viscous and lag are for what was not."""
+        """By what was found; mass and lag are for what was not."""
         told = {name: one.value for name, one in found.items()}
         length = told.get("presliding", float(LENGTHS[0]))
-        slope = travel.falls.viscous if travel.falls else told.get("viscous", viscous)
-        return cls(told.get("mass", mass), slope, length, lag, travel, elements)
+        return cls(told.get("mass", mass), travel.viscous, length, lag, travel, elements)
 
     def _turned(self, path: Array) -> Array:
         """Friction over Coulomb friction along a path."""
@@ -67,8 +65,8 @@ class AxisForces(NamedTuple):
         part = Balanced(Record(of.force, of.position, of.period, of.count, self.lag), None, None)
         position = part.filtered(of.position)
         friction = np.interp(position, self.travel.position, self.travel.friction)
-        if self.travel.falls:
-            friction += self.travel.falls.at(part.velocity)
+        if self.travel.curved:
+            friction += self.travel.curved.at(part.velocity)
         place = np.interp(position, self.travel.position, self.travel.place)
         state = part.filtered(self._turned(part.path))
         needed = self.mass * part.acceleration + self.viscous * part.velocity + friction * state + place

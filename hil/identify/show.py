@@ -12,7 +12,10 @@ from hil.identify.written import OTHER_KEYS, measured_values, model_values
 from hil.rig.measured_table import changed
 from hil.rig.schema import RigConfig
 
-ROTARY = {"kg": "kg m^2", "N": "N m", "m": "rad", "um": "urad", "N s/m": "N m s/rad", "N/m": "N m/rad", "N s": "N m s"}
+ROTARY = {
+    "kg": "kg m^2", "N": "N m", "m": "rad", "um": "urad", "N s/m": "N m s/rad", "N s^2/m^2": "N m s^2/rad^2",
+    "N/m": "N m/rad", "N s": "N m s",
+}  # fmt: skip
 _AMOUNT = re.compile(rf"(?<=[0-9] )(?:{'|'.join(sorted(ROTARY, key=len, reverse=True))})(?![\w/])")
 
 

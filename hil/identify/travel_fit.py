@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from hil.identify.estimate import Array, Estimate, Refused, jackknife
-from hil.identify.falling_friction import Falling, falling
+from hil.identify.curved_friction import Curved, Line, curved
+from hil.identify.estimate import Array, Estimate, Refused, damping, jackknife
 from hil.identify.places import PLACES, Points, SpeedPass, points_of, seen
 
 LEAST_PASSES = 4
@@ -24,18 +24,19 @@ FINEST, DENSITY = 80.0, 2.5
 ASTRAY = 9.0  # of the logarithm of a period over the travel, in the search
 # Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
 SYSTEMATIC = {
-    "coulomb": 0.001, "viscous": 0.015, "friction_variation": 0.03, "friction_period": 0.001,
+    "coulomb": 0.001, "viscous": 0.015, "quadratic": 0.015, "friction_variation": 0.03, "friction_period": 0.001,
     "cogging_amplitude": 0.01, "cogging_period": 0.006,
 }  # fmt: skip
 UNSEEN = 3.0  # times these, where friction may vary along the travel and no sinusoid was told
 PHASE = 0.015  # rad, the same of a sinusoid's phase
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
-WIDEST = 0.5  # half width over value of what is told where friction falls with speed
+WIDEST = 0.5  # half width over value of what is told where friction is curved over speed
 
 
 class TravelCurves(NamedTuple):
     """To look at: along the travel (n,) m, the friction and the force of the place, less what changes with speed, N. By
-    pass (k,) the speed, m/s, and the friction at it, N. falls: the part of friction that falls with speed, if any.
+    pass (k,) the speed, m/s, and the friction at it, N. viscous: N s/m, negative where friction falls throughout;
+    curved: the part of friction beside it that is no straight line over speed, if any.
     """
 
     position: Array
@@ -43,7 +44,8 @@ class TravelCurves(NamedTuple):
     place: Array
     speed: Array
     friction_at_speed: Array
-    falls: Falling | None = None
+    viscous: float
+    curved: Curved | None = None
 
 
 class TravelFit(NamedTuple):
@@ -75,9 +77,10 @@ def travel_fit(
     refused = {}
     if max(speeds) < 1.5 * min(speeds):
         refused["viscous"] = f"one speed, {min(speeds):.3g} m/s: at least two that differ by half are needed"
-    falls = None if refused else falling(points, [p.speed for p in passes])
-    viscous = 0.0 if refused else falls.viscous if falls else _viscous(points)
-    level = _without_speed(points, viscous, falls)
+    over = Line() if refused else curved(points, [p.speed for p in passes])
+    bent = over if isinstance(over, Curved) else None
+    viscous = 0.0 if refused else bent.viscous if bent else _viscous(points)
+    level = _without_speed(points, viscous, bent)
     waves = _waves(level)
     x, rest = _solve(level, waves)
     residual = float(np.sqrt((rest**2).mean()))
@@ -87,14 +90,19 @@ def travel_fit(
     for left_out in range(len(passes)):
         kept = points.of_pass != left_out
         part = Points(*(values[kept] for values in points))
-        falling_too = falls.of(part, [p.speed for p in passes]) if falls else None
-        other = 0.0 if refused else falling_too.viscous if falling_too else _viscous(part)
-        part = _without_speed(part, other, falling_too)
+        bent_too = bent.of(part, [p.speed for p in passes]) if bent else None
+        other = 0.0 if refused else bent_too.viscous if bent_too else _viscous(part)
+        part = _without_speed(part, other, bent_too)
         shifted = _refined(part, waves)
         y, _ = _solve(part, shifted)
         told = (*_told(y, shifted, points, -centre).values(), *_drift(part, shifted, y).values())
-        without.append(np.array([other, *told]))
-    values = {"viscous": viscous, **_told(x, waves, points, -centre), **_drift(level, waves, x)}
+        without.append(np.array([other, bent_too.drag if bent_too else 0.0, *told]))
+    values = {
+        "viscous": viscous,
+        "quadratic": bent.drag if bent else 0.0,
+        **_told(x, waves, points, -centre),
+        **_drift(level, waves, x),
+    }
     half = jackknife(_unwrapped(without, values)).tolist()
     unseen = 1.0 if waves else UNSEEN
     systematic = {name: unseen * share * values[name] for name, share in SYSTEMATIC.items() if name in values}
@@ -108,8 +116,9 @@ def travel_fit(
         for (name, value), width in zip(values.items(), half, strict=True)
         if name not in refused
     }
-    if falls:
-        _allow_for(falls, found, refused)
+    if not found["quadratic"].value:
+        del found["quadratic"]
+    _allow_for(over, found, refused)
     travel = float(np.ptp(points.position))
     for kind, name, period_of in WAVES:
         length = next((length for odd, length in waves if odd is kind), None)
@@ -124,34 +133,40 @@ def travel_fit(
                 found.pop(gone, None)
     hidden = x @ (_design(level, waves, blurred=False) - _design(level, waves))
     whole = level._replace(force=level.force + hidden)
-    curves = _curves(whole, centre, rest, [p.speed for p in passes], float(x[0]), viscous, falls)
+    curves = _curves(whole, centre, rest, [p.speed for p in passes], float(x[0]), viscous, bent)
     return TravelFit(found, refused, residual, curves)
 
 
-def _allow_for(falls: Falling, found: dict[str, Estimate], refused: dict[str, str]) -> None:
-    """Widen Coulomb and viscous friction by what the speeds do not tell of the part that falls, or refuse them."""
+def _allow_for(over: Curved | Line, found: dict[str, Estimate], refused: dict[str, str]) -> None:
+    """Widen Coulomb and viscous friction by what the speeds do not tell of them, or refuse them."""
     coulomb = found["coulomb"].value
-    if "friction_variation" in found:  # nobody knows whether the falling part varies along the travel, too
+    if isinstance(over, Curved) and "friction_variation" in found:  # does the curved part vary along the travel, too?
         wave = found["friction_variation"]
-        off = wave.value * float(falls.at(np.zeros(1))[0]) / coulomb
+        off = abs(wave.value * float(over.at(np.zeros(1))[0]) / coulomb)
         found["friction_variation"] = wave._replace(half_width=math.hypot(wave.half_width, off))
-    for name, off in (("coulomb", falls.coulomb_off), ("viscous", falls.viscous_off)):
-        one = found[name]._replace(half_width=math.hypot(found[name].half_width, off))
-        if one.half_width < WIDEST * abs(one.value):
-            found[name] = one
-        else:
+    for name, off in (("coulomb", over.coulomb_off), ("viscous", over.viscous_off)):
+        if name not in found:
+            continue
+        found[name] = one = found[name]._replace(half_width=math.hypot(found[name].half_width, off))
+        if isinstance(over, Curved) and one.half_width >= WIDEST * abs(one.value):
             del found[name]
             told = f"{one.value:.3g} +- {one.half_width:.2g} {one.unit} by the speeds passed (at most {WIDEST:.0%})"
             if not math.isfinite(one.half_width):
-                told = f"about {one.value:.3g} {one.unit}, and it may fall on beyond the speeds passed"
-            refused[name] = f"friction falls with speed: {told}"
+                told = f"about {one.value:.3g} {one.unit}, and nobody knows it beyond the speeds passed"
+            refused[name] = f"friction {over.words}: {told}"
+    if "viscous" in found:
+        try:
+            found["viscous"] = damping(found["viscous"])
+        except Refused as negative:
+            del found["viscous"]
+            refused["viscous"] = negative.reason
 
 
 WAVES = ((True, "friction_variation", "friction_period"), (False, "cogging_amplitude", "cogging_period"))
 UNITS = {
-    "coulomb": "N", "constant": "N", "viscous": "N s/m", "cable_stiffness": "N/m", "friction_variation": "1",
-    "friction_period": "m", "friction_phase": "rad", "cogging_amplitude": "N", "cogging_period": "m",
-    "cogging_phase": "rad", "position_drift": "m",
+    "coulomb": "N", "constant": "N", "viscous": "N s/m", "quadratic": "N s^2/m^2", "cable_stiffness": "N/m",
+    "friction_variation": "1", "friction_period": "m", "friction_phase": "rad",
+    "cogging_amplitude": "N", "cogging_period": "m", "cogging_phase": "rad", "position_drift": "m",
 }  # fmt: skip
 
 
@@ -164,7 +179,7 @@ def _unwrapped(without: Sequence[Array], values: Mapping[str, float]) -> list[Ar
 
 def _curves(
     points: Points, centre: float, rest: Array, speeds: Sequence[float], coulomb: float, viscous: float,
-    falls: Falling | None,
+    bent: Curved | None,
 ) -> TravelCurves:  # fmt: skip
     """Of places that were passed both ways."""
     at, rows = points.place.astype(int), []
@@ -176,8 +191,8 @@ def _curves(
     left = [float(rest[points.of_pass == number].mean()) for number in range(len(speeds))]
     moved = [coulomb + viscous * abs(v) + float(np.sign(v)) * each for v, each in zip(speeds, left, strict=True)]
     position, friction, place_force = np.array(rows).reshape(-1, 3).T
-    at_speed = np.array(moved) + (falls.at(np.array(speeds)) if falls else 0.0)
-    return TravelCurves(position, friction, place_force, np.array(speeds), at_speed, falls)
+    at_speed = np.array(moved) + (bent.at(np.array(speeds)) if bent else 0.0)
+    return TravelCurves(position, friction, place_force, np.array(speeds), at_speed, viscous, bent)
 
 
 def _viscous(points: Points) -> float:
@@ -196,9 +211,9 @@ def _viscous(points: Points) -> float:
     return float(speed @ varied(points.force) / (speed @ speed))
 
 
-def _without_speed(points: Points, viscous: float, falls: Falling | None) -> Points:
+def _without_speed(points: Points, viscous: float, bent: Curved | None) -> Points:
     force = points.force - viscous * points.velocity
-    return points._replace(force=force - np.sign(points.velocity) * falls.at(points.velocity) if falls else force)
+    return points._replace(force=force - np.sign(points.velocity) * bent.at(points.velocity) if bent else force)
 
 
 def _design(points: Points, waves: Sequence[tuple[bool, float]], *, blurred: bool = True) -> Array:

@@ -13,7 +13,8 @@ from hil.identify.estimate import Estimate
 from hil.rig.measured_table import MOST_OTHERS
 
 MODEL_KEYS = (
-    "mass", "coulomb", "viscous", "friction_period", "torque_lag", "mode_frequency_hz", "mode_damping", "mode_load",
+    "mass", "coulomb", "viscous", "quadratic", "friction_period", "torque_lag", "mode_frequency_hz",
+    "mode_damping", "mode_load",
 )  # fmt: skip
 OF_MODE = ("frequency_hz", "damping", "load")
 OTHER_KEYS = [[f"other_mode_{number}_{key}" for key in OF_MODE] for number in range(1, MOST_OTHERS + 1)]
@@ -53,6 +54,8 @@ def rig_text(
         model = tables[name]["model"]
         if "torque_lag" in found and "other_modes" in model:
             values.setdefault("other_modes", [])  # the frequency response shows none
+        if "viscous" in found and "quadratic" in model:
+            values.setdefault("quadratic", 0.0)  # a straight line explains friction
         before = {key: model.unwrap()[key] for key in values if key in model}
         for key, value in values.items():
             model[key] = value

@@ -28,6 +28,9 @@ class MeasuredConfig(Table):
     mass: Measured | None = key(None, f"moving mass (moment of inertia): {BOTH}", "kg (kg m^2)")
     coulomb: Measured | None = key(None, f"Coulomb friction: {BOTH}", "N (N m)")
     viscous: Measured | None = key(None, f"viscous friction: {BOTH}", "N s/m (N m s/rad)")
+    quadratic: Measured | None = key(
+        None, f"friction times v |v|: {BOTH}", "N s^2/m^2 (N m s^2/rad^2)", exclude_if=lambda one: one is None
+    )
     friction_period: Measured | None = key(
         None,
         f"length along the travel with which friction varies: {BOTH}",

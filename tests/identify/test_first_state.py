@@ -111,7 +111,7 @@ def tables(whole: list[float]) -> tuple[PositionTable, PositionTable]:
 def travelled(position: Array) -> TravelCurves:
     """Friction that varies over 10 mm, and a weight of 2.1 N with a cable of 3 N/m."""
     friction = COULOMB * (1.0 + 0.1 * np.sin(2.0 * np.pi * position / 10e-3))
-    return TravelCurves(position, friction, 2.1 + 3.0 * position, np.array([0.01]), np.array([COULOMB]))
+    return TravelCurves(position, friction, 2.1 + 3.0 * position, np.array([0.01]), np.array([COULOMB]), 0.0)
 
 
 def test_the_tables_have_the_force_of_each_place_in_each_direction() -> None:
@@ -130,7 +130,7 @@ def test_what_is_too_fine_for_the_tables_begins_the_waves() -> None:
     position = np.linspace(-0.018, 0.018, 240)
     period, variation, phase = 0.9e-3, 0.1, 2.0
     friction = COULOMB * (1.0 + variation * np.sin(2.0 * np.pi * position / period + phase))
-    travel = TravelCurves(position, friction, 0.0 * position - 2.0, *[np.ones(1)] * 2)
+    travel = TravelCurves(position, friction, 0.0 * position - 2.0, *[np.ones(1)] * 2, 0.0)
     told = {"coulomb": COULOMB, "presliding": 5e-6, "friction_variation": variation, "friction_phase": phase}
     whole = state(found(**told, friction_period=period), None, travel)
     wave = [variation * COULOMB * np.cos(phase), variation * COULOMB * np.sin(phase)]
@@ -144,7 +144,7 @@ def test_places_further_apart_than_the_nodes_are_joined() -> None:
     whole = state(
         found(coulomb=COULOMB),
         None,
-        TravelCurves(position, position * 0.0 + COULOMB, 2.0 + 3.0 * position, *[np.ones(1)] * 2),
+        TravelCurves(position, position * 0.0 + COULOMB, 2.0 + 3.0 * position, *[np.ones(1)] * 2, 0.0),
     )
     forward, _ = tables(whole)
     for place in (-0.0275, -0.012, 0.001, 0.0225):

@@ -1,5 +1,6 @@
 """The rig file that identification writes: new values in, everything else as it was."""
 
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from hil.analysis.stability import REALISED
 from hil.identify.estimate import Estimate
 from hil.identify.written import measured_values, rig_text
 from hil.operate.check_loop import measured_notes
-from hil.rig.file import load_rig
+from hil.rig.file import build_rig, load_rig
 from hil.rig.measured_table import Tolerances, changed
 from hil.rig.shipped import by_name
 from hil.runs.measured_trend import trends
@@ -44,6 +45,16 @@ def test_what_is_written_is_a_rig_with_these_values(tmp_path: Path) -> None:
     assert (measured.mass, measured.gravity, measured.viscous) == ([1.23457, 0.001], [0.5, 0.01], None)
     assert (measured.date, measured.evidence) == ("2026-01-01", "run.mcap sha256 0123")
     assert text.startswith(source.read_text(encoding="utf-8")[:200])
+
+
+@pytest.mark.parametrize("drag", [0.00265, 0.0])
+def test_drag_is_written_and_one_that_was_stated_falsely_goes(drag: float) -> None:
+    """Where a straight line explains friction, it has the force of the drag in it."""
+    found = {"viscous": Estimate(0.04, 0.001, "N s/m")}
+    told = found | ({"quadratic": Estimate(drag, 1e-5, "N s^2/m^2")} if drag else {})
+    assert measured_values(told).get("quadratic") == ([drag, 1e-5] if drag else None)
+    text = rig_text(by_name("rigs", Path("paper")), {"y": told}, "2026-01-01", "a")
+    assert build_rig(tomllib.loads(text)).axes["y"].model.quadratic == drag
 
 
 def test_a_rig_file_whose_axes_stand_on_one_line_is_written_too(tmp_path: Path) -> None:
