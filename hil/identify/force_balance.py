@@ -63,6 +63,13 @@ def lagged(force: Array, lag: float, period: float) -> Array:
     return mean
 
 
+def about_samples(mean: Array) -> Array:
+    """Mean force about each sample, from that of the periods before and after it."""
+    before = np.concatenate([mean[:1], mean[:-1]])
+    about: Array = 0.5 * (mean + before)
+    return about
+
+
 def played(position: Array, play: float) -> Array:
     """The path behind a play of that half width."""
     out = np.empty_like(position)
@@ -111,7 +118,7 @@ class Balanced:
         self.velocity = np.gradient(smooth, record.period)
         self.acceleration = np.gradient(self.velocity, record.period)
         # A force belongs to the middle of its period.
-        self.force = self.filtered(self._at_samples(lagged(record.force, record.lag, record.period)))
+        self.force = self.filtered(about_samples(lagged(record.force, record.lag, record.period)))
         self.path = played(record.position, PLAY_COUNTS * record.resolution)
         edge = round(EDGE_S / record.period)
         self.inside = slice(max(edge, record.skip), len(record.position) - edge)
@@ -120,13 +127,6 @@ class Balanced:
         """Behind the filter that all signals pass."""
         out: Array = gaussian_filter1d(values, self._width, mode="nearest")
         return out
-
-    @staticmethod
-    def _at_samples(mean: Array) -> Array:
-        """Mean force about each sample, from that of the periods before and after it."""
-        before = np.concatenate([mean[:1], mean[:-1]])
-        about: Array = 0.5 * (mean + before)
-        return about
 
     def columns(self, length: float) -> tuple[Array, Array]:
         """(k, n) regressors and (n,) the force they add up to: Coulomb, constant, the bristle's damping, and viscous

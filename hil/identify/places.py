@@ -10,7 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter1d
 
 from hil.identify.estimate import Array, Refused
-from hil.identify.force_balance import CORNER_HZ, EDGE_S, lagged
+from hil.identify.force_balance import CORNER_HZ, EDGE_S, about_samples, lagged
 
 # Of the travel, left out at the beginning of a pass, as cables that move along take a way to turn; at most of the pass.
 LEAD, MOST_LEAD = 0.08, 0.25
@@ -21,7 +21,8 @@ SMOOTH_S = math.sqrt(math.log(2.0)) / (2.0 * math.pi * CORNER_HZ)  # standard de
 
 
 class SpeedPass(NamedTuple):
-    """One pass at constant speed, away from its ends: force as applied (N), position (m), (n,). speed: m/s, signed.
+    """One pass at constant speed, away from its ends: force as applied from each sample to the next (N), position
+    (m) at the sample, (n,). speed: m/s, signed.
     stalled: indices at which the computer stalled; the places passed about then do not count.
     """
 
@@ -94,6 +95,6 @@ def _smooth(one: SpeedPass, period: float, mass: float, lag: float) -> tuple[Arr
     if one.position.size < 3 * edge:
         raise Refused(f"a pass at {one.speed:.3g} m/s is at constant speed for {one.position.size * period:.2g} s only")
     position = gaussian_filter1d(one.position, width, mode="nearest")
-    force = gaussian_filter1d(lagged(one.force, lag, period), width, mode="nearest")
+    force = gaussian_filter1d(about_samples(lagged(one.force, lag, period)), width, mode="nearest")
     force = force - mass * np.gradient(np.gradient(position, period), period)
     return position[edge:-edge], force[edge:-edge]
