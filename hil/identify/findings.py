@@ -31,6 +31,7 @@ FULL = 0.9  # of the largest triangle's range of force
 NOT_SEEN = (
     "mode",
     "mode_beyond",
+    "mode_unsure",
     "friction_variation",
     "cogging_amplitude",
     "cable_stiffness",

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from hil.identify.estimate import Estimate
 from hil.rig.measured_table import MOST_OTHERS
 
+WIDEST = 0.5  # half width over value of the frequency and the load of what is told
 LEAST_TOOL = 0.1  # of the mass: nothing lighter is taken for the tool
 
 
@@ -21,6 +22,11 @@ class Mode(NamedTuple):
         """Its frequency, Hz."""
         return self.frequency_hz.value
 
+    @property
+    def sure(self) -> bool:
+        """Whether its interval says that there is one."""
+        return all(one.half_width < WIDEST * one.value for one in (self.frequency_hz, self.load))
+
 
 def modes_told(modes: Sequence[Mode], low: float, high: float) -> tuple[dict[str, Estimate], dict[str, str]]:
     """Quantities by name, and refusals. The heaviest is the tool's, unless it is lighter than LEAST_TOOL; the others
@@ -29,6 +35,10 @@ def modes_told(modes: Sequence[Mode], low: float, high: float) -> tuple[dict[str
     found: dict[str, Estimate] = {}
     refused: dict[str, str] = {}
     excited = f"{low:.0f} to {high:.0f} Hz"
+    if unsure := [mode for mode in modes if not mode.sure]:
+        each = [f"{mode.hertz:.3g} Hz with {mode.load.value:.2g} +- {mode.load.half_width:.2g}" for mode in unsure]
+        refused["mode_unsure"] = f"{', '.join(each)} of the mass (at most {100 * WIDEST:.0f} %): it may be none"
+        modes = [mode for mode in modes if mode.sure]
     heaviest = max(modes, key=lambda mode: mode.load.value, default=None)
     tool = heaviest if heaviest and heaviest.load.value >= LEAST_TOOL else None
     if heaviest is None:

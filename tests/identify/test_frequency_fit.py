@@ -6,6 +6,7 @@ import pytest
 from hil.analysis.flexible_plant import AxisDynamics
 from hil.identify.estimate import Estimate, Refused
 from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
+from hil.identify.modes_told import Mode, modes_told
 
 PERIOD, FINE, BASE = 1e-3, 40, 200
 LINES = range(1, 80, 2)  # 5 to 395 Hz
@@ -176,6 +177,17 @@ def test_three_light_resonances_are_more_than_a_model_has_room_for() -> None:
     axis = fit_axis(ringing((200.0, 0.01, 0.05), (300.0, 0.01, 0.05), (400.0, 0.01, 0.05)), PERIOD, 0.5)
     assert axis.refused["other_modes"] == "3 resonances beside the tool's, at 200, 300, 400 Hz (at most 2)"
     assert not any(name.startswith("other_mode_") for name in axis.found)
+
+
+def test_a_resonance_whose_interval_has_none_is_not_told() -> None:
+    """One of 5 Hz that stood for friction that varied as it passed: theta of a drawn microscope."""
+    friction = Mode(Estimate(5.2, 1.8, "Hz"), Estimate(0.023, 0.06, "1"), Estimate(0.024, 0.028, "1"))
+    tool = Mode(Estimate(120.0, 0.1, "Hz"), Estimate(0.02, 0.001, "1"), Estimate(0.3, 0.001, "1"))
+    for modes in ([friction], [tool, friction]):
+        found, refused = modes_told(modes, 4.0, 480.0)
+        assert refused["mode_unsure"] == "5.2 Hz with 0.024 +- 0.028 of the mass (at most 50 %): it may be none"
+        assert set(found) == {f"mode_{key}" for key in Mode._fields if tool in modes}
+        assert ("mode" in refused) == (tool not in modes)
 
 
 def test_a_resonance_beyond_the_lines_is_not_told() -> None:
