@@ -209,6 +209,8 @@ class _Lines(NamedTuple):
         best = last = self.fit(np.array([np.log(mass_guess), 2e-4, 0.0, 0.0]))
         left = self.fit(best.q, delayed=True).chi2
         for axes in seeds(self.omega, self.response, self.period, _exp(best.q[0]), MOST_MODES):
+            if left < NOISE:
+                break
             known = [_hung(mode) for mode in _by_mode(last.q)]
             mass, lag = _exp(last.q[0]), abs(float(last.q[1]))
             (_, more), *_ = Stiffness(self.omega, self.response, self.period, mass, lag, known).axes(1)
@@ -218,8 +220,6 @@ class _Lines(NamedTuple):
             slowest = min(hertz for hertz, _, _ in map(_hung, _by_mode(last.q)))
             if chi2 * MODE_GAIN < left and _loads(last.q) < MOST_LOAD and 2.0 * np.pi * slowest > self.omega[0]:
                 best, left = last, chi2
-            if left < NOISE:
-                break
         return best
 
     def half_widths(self, fit: _Fit) -> Array:
