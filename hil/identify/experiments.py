@@ -36,6 +36,7 @@ LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine, at most
 SWING_SHARE = 0.1  # of limits.oscillation, RMS that the multisine moves the axis by, at most
 # Of a pass' speed, the greatest that the multisine adds: friction must not turn, though the mass be 1.7 times too big.
 PEAK_SHARE = 0.5
+COMMISSIONED = 10.0  # tolerance of [axes.NAME.push]: signs and scales are still seen, though the model is to be found
 TURN_S = 0.15  # at rest between passes: else the swings of one and the turn behind it count as an oscillation
 SETTLE_S = 0.3  # of a pass at speed, before its periods
 PASS_PERIODS, PASSES = 2, 12
@@ -227,6 +228,9 @@ def rig_document(
     document["task"] = {"kind": "path", "axes": [name], "samples": rows, "approach_s": approach_s, "settle_s": 0.0,
                         "between": "blended"}  # fmt: skip
     gains = {key: [one.get(key, Excitation.GAINS[key].default) for one in each] for key in sorted(set().union(*each))}
+    for axis in document["axes"].values():
+        if axis["push"]:
+            axis["push"]["tolerance"] = COMMISSIONED
     document["law"] = {"name": EXPERIMENT, "gains": gains}
     return document, approach_s + len(rows) * ROW_S
 
