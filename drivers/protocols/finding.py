@@ -76,8 +76,12 @@ class HomingTerms(NamedTuple):
 
 class Homer(Protocol):
     """Of one axis whose drive homes by itself. While `search` is RUNNING the drive moves the axis, and no torque of the
-    host acts; FOUND: it counts from where it has homed, and applies the host's torque again.
+    host acts; FOUND: it counts from where it has homed, and applies the host's torque again. methods: that it can be
+    told. lets_go: between the host's torque and its own it applies none.
     """
+
+    methods: Sequence[int]
+    lets_go: bool
 
     @property
     def search(self) -> Search:

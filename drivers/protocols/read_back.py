@@ -53,6 +53,10 @@ class ReadBack:
         self._waits = False
         self._next_tick = self._asked_tick = 0
 
+    def rest(self) -> None:
+        """No answer is waited for until the next question; what was proved stays so."""
+        self._waits, self._asked = False, 0
+
     def ask(self, tick: int) -> int | None:
         """Number of the question to ask in this tick."""
         if not self._questions or tick < self._next_tick:

@@ -60,8 +60,8 @@ class HomeConfig(Table):
     )
     method: int | None = key(
         None,
-        "with by = drive: homing method that the drive is told (CiA 402: 6098h), in the drive's own direction; not "
-        "stated: it has homed by itself",
+        "with by = drive: homing method that the drive is told (CiA 402: 6098h; ODrive: 11, its axis state), in the "
+        "drive's own direction; not stated: it has homed by itself",
         "1",
         ge=-128,
         le=127,

@@ -31,8 +31,8 @@ def fitted(rig: RigConfig, layout: HostProtocol) -> HostProtocol:
         if isinstance(finder, str):
             raise LayoutError(f'axes.{name}.home.by = "index": {finder}')
     for name, homer in homers.items():
-        if isinstance(homer, str):
-            raise LayoutError(f"axes.{name}.home.method: {homer}")
+        if problem := _homer_problem(rig, name, homer):
+            raise LayoutError(f"axes.{name}.home.method{problem}")
     for key, axis, demanded in demands(rig):
         if rig.axis_names[axis] in (finders | homers) and key.endswith((_INDEX, _DRIVE)):
             continue
@@ -61,6 +61,24 @@ def drive_homers(rig: RigConfig, layout: HostProtocol) -> dict[str, AxisHomer | 
     """Of the axes whose drives home by themselves when they are told to: what tells them, or why they cannot."""
     asked = [name for name, axis in rig.axes.items() if axis.home is not None and axis.home.by_itself]
     return {name: drive_homer(layout, rig.axis_names.index(name)) for name in asked}
+
+
+def _homer_problem(rig: RigConfig, name: str, homer: AxisHomer | str) -> str:
+    """Why the drive of an axis cannot home as the rig says, behind the key; empty where it can."""
+    if isinstance(homer, str):
+        return f": {homer}"
+    axis, methods = rig.axes[name], homer.homer.methods
+    method = axis.home.method if axis.home is not None else None
+    if method not in methods:
+        return f" = {method}: allowed {methods[0]}" + (f" to {methods[-1]}" if len(methods) > 1 else "")
+    brake = rig.drives.brake
+    braked = brake if isinstance(brake, bool) else brake[rig.axis_names.index(name)]
+    if homer.homer.lets_go and not braked and abs(axis.model.gravity) > axis.model.coulomb:
+        return (
+            f": its drive applies no torque for a moment before and behind its homing, and axes.{name}.model.gravity = "
+            f"{axis.model.gravity:g} exceeds coulomb = {axis.model.coulomb:g}; expected drives.brake = true"
+        )
+    return ""
 
 
 def demands(rig: RigConfig) -> list[tuple[str, int, int]]:

@@ -100,7 +100,7 @@ def installed_drives(
     assert config is not None
     nodes = config.nodes or list(range(len(servos)))
     return [
-        _in_turns(bus, config, node, servo, partial(_turns, servo, position, abs(turn)), start_ns)
+        _in_turns(bus, config, node, servo, position, abs(turn), start_ns)
         for node, servo, position, turn in zip(nodes, servos, positions, config.turn, strict=True)
     ]
 
@@ -116,15 +116,18 @@ def _status(servo: ServoDrive, position: Position) -> int:
 
 
 def _in_turns(
-    bus: BusConfig, config: EmulatedDriveConfig, node: int, servo: ServoDrive, turns: Position, start_ns: int
-) -> DriveNode:
+    bus: BusConfig, config: EmulatedDriveConfig, node: int, servo: ServoDrive, position: Position, turn: float,
+    start_ns: int,
+) -> DriveNode:  # fmt: skip
+    turns = partial(_turns, servo, position, turn)
     feedback_ns, state_ns = round(config.feedback_s * 1e9), round(config.heartbeat_s * 1e9)
     if config.kind == "odrive":
-        from sim_plant.drives.odrive import Odrive
+        from sim_plant.drives.odrive_homing import HomingOdrive
 
         delay_ns = round(config.enable_delay_s * 1e9)
         periods = {"feedback_ns": feedback_ns, "heartbeat_ns": state_ns, "enable_delay_ns": delay_ns}
-        return Odrive(node, servo, turns, start_ns, instead=config.instead, **periods)
+        inputs = partial(_status, servo, position)
+        return HomingOdrive(node, servo, turns, start_ns, turn=turn, inputs=inputs, instead=config.instead, **periods)
     from sim_plant.drives.vesc import Motor, Vesc
 
     motor = Motor(config.torque_constant, config.pole_pairs)

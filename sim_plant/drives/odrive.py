@@ -6,13 +6,15 @@ requested states and controller modes act at once). Rules:
 - An identifier is node * 32 + command, 11 bits; numbers are little-endian, floats IEEE 754.
 - It sends Heartbeat (01h) and Get_Encoder_Estimates (09h) in its own time, and answers remote frames for these two and
   for Get_Error (03h).
-- Set_Axis_State (07h): 8 enters closed loop control unless an error is latched; 1, and any procedure, which is not
-  emulated, leads to idle. It starts in position control, so that torque needs Set_Controller_Mode (0Bh) with 1, 1.
-- Set_Input_Torque (0Eh) is in N m and is clipped to what the motor has. In the modes of its own position and velocity
-  loops, which are not emulated, it applies no torque.
+- Set_Axis_State (07h): 8 enters closed loop control unless an error is latched; 1, and any procedure but homing
+  (odrive_homing.py), leads to idle. It starts in position control, so that torque needs Set_Controller_Mode (0Bh) with
+  1, 1.
+- Set_Input_Torque (0Eh) is in N m and is clipped to what the motor has, and to its torque limits. In the modes of its
+  own position and velocity loops, which only homing has, it does nothing.
 - RxSdo (04h) reads (opcode 0) and writes (1) an endpoint by its number, which differs from firmware to firmware: a file
   flat_endpoints.json of each release says them. ENDPOINTS has this drive's. TxSdo (05h) answers a read with the number
-  and the value, as many bytes as its type has; numbers that it has not are not answered.
+  and the value, as many bytes as its type has; numbers that it has not are not answered. What is written is there until
+  it restarts, and not answered.
 - Errors are latched and end closed loop control: watchdog, Estop (02h), defects. Clear_Errors (18h), whatever its
   payload, ends them; Reboot (16h) too.
 """
@@ -33,13 +35,31 @@ TORQUE_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 3, 1
 SUCCESS, DISARMED = 0, 3  # Procedure_Result
 MISSING_ESTIMATE, DRIVE_FAULT, WATCHDOG_TIMER_EXPIRED, ESTOP_REQUESTED = 1 << 3, 1 << 5, 1 << 24, 1 << 25
 
-READ = 0  # opcode
+READ, WRITE = 0, 1  # opcode
 ENDPOINTS = {  # number: path below axis0, and the type of its value
     300: ("controller.config.control_mode", "I"),
     301: ("controller.config.input_mode", "I"),
     302: ("config.enable_watchdog", "?"),
     303: ("config.watchdog_timeout", "f"),
     304: ("config.torque_soft_max", "f"),
+    305: ("config.torque_soft_min", "f"),
+    306: ("controller.config.homing_speed", "f"),
+    307: ("controller.config.vel_ramp_rate", "f"),
+    308: ("trap_traj.config.vel_limit", "f"),
+    309: ("trap_traj.config.accel_limit", "f"),
+    310: ("trap_traj.config.decel_limit", "f"),
+    311: ("min_endstop.config.enabled", "?"),
+    312: ("min_endstop.config.offset", "f"),
+    313: ("min_endstop.state", "?"),
+}
+CONFIGURED = {  # as delivered, turns and s; what a host may write
+    "controller.config.homing_speed": 0.25,
+    "controller.config.vel_ramp_rate": 1.0,
+    "trap_traj.config.vel_limit": 2.0,
+    "trap_traj.config.accel_limit": 0.5,
+    "trap_traj.config.decel_limit": 0.5,
+    "min_endstop.config.enabled": False,
+    "min_endstop.config.offset": 0.0,
 }
 _ESTIMATES, _HEARTBEAT, _MODES = Struct("<ff"), Struct("<IBBBx"), Struct("<II")
 _SDO = Struct("<BHx")
@@ -56,7 +76,8 @@ class Odrive(CyclicNode):
     """One axis. node_id: 0 to 63. turns: its encoder's position now, in turns of the motor.
 
     feedback_ns, heartbeat_ns: encoder_msg_rate_ms and heartbeat_msg_rate_ms. enable_delay_ns: from the request to
-    closed loop control. instead: values that it acknowledges and has otherwise, by path.
+    closed loop control. instead: values that it acknowledges and has otherwise, by path. configured: values that were
+    saved in it, in the place of CONFIGURED's.
     """
 
     def __init__(
@@ -70,12 +91,14 @@ class Odrive(CyclicNode):
         heartbeat_ns: int,
         enable_delay_ns: int = 0,
         instead: Mapping[str, float] | None = None,
+        configured: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__(node_id, servo, start_ns, (feedback_ns, self._estimates), (heartbeat_ns, self._heartbeat))
         self._turns = turns
         self._base = node_id << 5
         self._enable_delay_ns = enable_delay_ns
         self._instead = dict(instead or {})
+        self._configured = dict(configured or {})
         self._estop = False
         self._last = (start_ns, math.nan)
         self._restart()
@@ -92,6 +115,9 @@ class Odrive(CyclicNode):
     def _restart(self) -> None:
         """As configured: position control, idle."""
         self._state, self._result = IDLE, SUCCESS
+        rated = self.servo.rated_force
+        limits = {"config.torque_soft_max": rated, "config.torque_soft_min": -rated}
+        self._written: dict[str, float] = CONFIGURED | limits | self._configured
         self._modes = POSITION_CONTROL, PASSTHROUGH
         self._torque = 0.0
         self._enabling_ns = -1
@@ -154,45 +180,69 @@ class Odrive(CyclicNode):
             self._apply()
 
     def _on_sdo(self, data: bytes) -> list[Frame]:
-        """A read of an endpoint; writes are not emulated."""
+        """A read of an endpoint, or a write to one that may be written."""
         if len(data) < _SDO.size:
             return []
         opcode, number = _SDO.unpack_from(data)
-        if opcode != READ or number not in ENDPOINTS:
+        if number not in ENDPOINTS:
             return []
         path, kind = ENDPOINTS[number]
-        held: dict[str, float] = {
+        code = Struct("<" + kind)
+        if opcode == READ:
+            value = self._value(path)
+            return [self._send(TX_SDO, _SDO.pack(0, number) + code.pack(value if kind == "f" else int(value)))]
+        if opcode == WRITE and path in self._written and len(data) >= _SDO.size + code.size:
+            self._written[path] = code.unpack_from(data, _SDO.size)[0]
+            self._apply()
+        return []
+
+    def _value(self, path: str) -> float:
+        """Of an endpoint."""
+        for values in (self._instead, self._written):
+            if path in values:
+                return values[path]
+        return self._held()[path]
+
+    def _held(self) -> dict[str, float]:
+        """Endpoints that a host cannot write."""
+        return {
             "controller.config.control_mode": self._modes[0],
             "controller.config.input_mode": self._modes[1],
             "config.enable_watchdog": True,
             "config.watchdog_timeout": self.servo.watchdog_ns * 1e-9,
-            "config.torque_soft_max": self.servo.rated_force,
+            "min_endstop.state": False,
         }
-        value = (held | self._instead)[path]
-        packed = Struct("<" + kind).pack(value if kind == "f" else int(value))
-        return [self._send(TX_SDO, _SDO.pack(0, number) + packed)]
 
     def _on_torque(self, data: bytes) -> None:
         if len(data) >= _TORQUE.size:
             (torque,) = _TORQUE.unpack_from(data)
-            limit = self.servo.rated_force
-            self._torque = max(-limit, min(limit, torque)) if math.isfinite(torque) else 0.0
+            self._torque = torque if math.isfinite(torque) else 0.0
             self._apply()
 
     def _apply(self) -> None:
         """Torque by state and mode."""
-        enabled = self._state == CLOSED_LOOP_CONTROL
-        torque = self._torque if self._modes == (TORQUE_CONTROL, PASSTHROUGH) else 0.0
-        self.servo.on_command(torque if enabled else 0.0, enabled, False, 0, self.now_ns)
+        enabled = self._state != IDLE
+        torque = self._within(self._demanded()) if enabled else 0.0
+        self.servo.on_command(torque, enabled, False, 0, self.now_ns)
         self._settle()
+
+    def _demanded(self) -> float:
+        """Of the motor, N m."""
+        return self._torque if self._modes == (TORQUE_CONTROL, PASSTHROUGH) else 0.0
+
+    def _within(self, torque: float) -> float:
+        """What the motor and the limits leave of it, N m."""
+        rated = self.servo.rated_force
+        high = min(rated, self._value("config.torque_soft_max"))
+        return max(-rated, self._value("config.torque_soft_min"), min(high, torque))
 
     def _clear_errors(self) -> None:
         self._estop = False
         self.unlatch()
 
     def _settle(self) -> None:
-        """An error ends closed loop control."""
-        if self._state == CLOSED_LOOP_CONTROL and self._errors():
+        """An error ends closed loop control, and a procedure."""
+        if self._state != IDLE and self._errors():
             self._state, self._result = IDLE, DISARMED
 
     def _errors(self) -> int:
@@ -215,7 +265,7 @@ class Odrive(CyclicNode):
     def _heartbeat(self) -> Frame:
         sample = self.shown()
         state = self._state
-        if bool(sample.status & _ENABLED) != (state == CLOSED_LOOP_CONTROL):  # it is made to say so (fault injection)
+        if bool(sample.status & _ENABLED) != (state != IDLE):  # it is made to say so (fault injection)
             state = CLOSED_LOOP_CONTROL if sample.status & _ENABLED else IDLE
         return self._send(HEARTBEAT, _HEARTBEAT.pack(self._errors(), state, self._result, 0))
 

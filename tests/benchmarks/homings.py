@@ -16,6 +16,7 @@ from hil.cycle.fault_table import Fault
 from tests.drivers.families.cia402.test_homing_mode import rig_of as method_rig
 from tests.drivers.families.cia402.test_touch_probe import rig_of as probe_rig
 from tests.support.homing import FARTHEST, PLACE, Homed, home_once, homing_rig
+from tests.support.odrive_homing import rig_of as odrive_rig
 
 KINDS = (
     *(("switch", contact) for contact in ("sound", "bouncing", "dead", "stuck", "inverted")),
@@ -23,9 +24,11 @@ KINDS = (
     *((by, "sound") for by in ("index", "stop", "drive", "here", "absolute")),
     *(("probe", contact) for contact in ("sound", "dead", "stuck")),
     ("method", "sound"),
+    *(("odrive", contact) for contact in ("sound", "bouncing", "dead", "stuck", "inverted")),
 )
 WORKS = ("sound", "bouncing")
-BOUGHT = {"probe": probe_rig, "method": method_rig}  # an index by a touch probe, and by the drive's own homing
+# an index by a touch probe, by the drive's own homing, and an ODrive's on its endstop
+BOUGHT = {"probe": probe_rig, "method": method_rig, "odrive": odrive_rig}
 WITHIN = {"index": 1e-7, "probe": 1e-7, "method": 1e-7, "drive": 1e-7, "absolute": 1e-7}  # m: a count
 NEAR = 20e-6  # m
 BEFORE, BEHIND = 0.06, 0.03  # m: how far from the place the table may stand, and how far beyond it

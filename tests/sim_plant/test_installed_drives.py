@@ -21,7 +21,7 @@ from sim_plant.config import EmulatedDriveConfig
 from sim_plant.drives.installed import installed_drives, installed_mountings
 from sim_plant.drives.moteus import Moteus
 from sim_plant.drives.object_dictionary import key_of
-from sim_plant.drives.odrive import Odrive
+from sim_plant.drives.odrive_homing import HomingOdrive
 from sim_plant.drives.quirks import NO_QUIRKS, Quirks, stated_quirks
 from sim_plant.drives.servo import ServoDrive
 from sim_plant.drives.vesc import Vesc
@@ -123,7 +123,7 @@ def test_lists_have_an_entry_for_every_axis(more: dict[str, object], says: str) 
 
 
 @pytest.mark.parametrize(("kind", "bus", "own", "first"), [
-    ("odrive", DBC, Odrive, 0), ("vesc", DBC, Vesc, 0), ("moteus", BusConfig(protocol="moteus"), Moteus, 1),
+    ("odrive", DBC, HomingOdrive, 0), ("vesc", DBC, Vesc, 0), ("moteus", BusConfig(protocol="moteus"), Moteus, 1),
 ])  # fmt: skip
 def test_drives_have_the_numbers_stated_or_count_from_their_first(
     kind: str, bus: BusConfig, own: type, first: int

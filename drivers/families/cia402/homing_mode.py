@@ -29,6 +29,9 @@ _MOST: Final = 0xFFFFFFFF
 class HomingMode(Asked):
     """Homer of one drive."""
 
+    methods = range(-128, 128)
+    lets_go = False
+
     def __init__(self, node: NodeMaster, plan: DrivePlan, gain: Callable[[], float]) -> None:
         """gain: thousandths of 6076h in an N (N m)."""
         super().__init__(node)

@@ -5,8 +5,9 @@ flat_endpoints.json says {"endpoints": {PATH: {"id": NUMBER, "type": "float"}}}.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from struct import pack, unpack_from
 from typing import Any, Final, NamedTuple
 
 from cantools.database.can import Database
@@ -17,6 +18,7 @@ from drivers.protocols.base import LayoutError
 
 LARGEST: Final = 4 << 20  # bytes
 _MOST_ID: Final = 0xFFFF
+_MOST_FLOAT: Final = 3.4e38  # of four bytes
 _TYPES: Final[Mapping[str, tuple[int, str]]] = {  # bits, and how they are read
     "bool": (8, "unsigned"),
     "float": (32, "float"),
@@ -31,6 +33,26 @@ class Endpoint(NamedTuple):
     number: int
     bits: int
     form: str
+
+    def packed(self, value: float) -> bytes:
+        """A value as a frame carries it, the nearest that it can."""
+        if self.form == "float":
+            return pack("<f", max(-_MOST_FLOAT, min(_MOST_FLOAT, value)))
+        return int(value).to_bytes(self.bits // 8, "little", signed=self.form == "signed")
+
+    def value(self, data: bytes) -> float:
+        """Of the bytes that a frame carries."""
+        if self.form == "float":
+            return float(unpack_from("<f", data)[0])
+        return int.from_bytes(data[: self.bits // 8], "little", signed=self.form == "signed")
+
+
+def known_endpoints(file: Path, paths: Iterable[str]) -> dict[str, Endpoint | None]:
+    """Those of a flat_endpoints.json by their paths, None where it has none with a number and a type. Raises
+    LayoutError.
+    """
+    known = _read(file)
+    return {path: _endpoint(known.get(path)) for path in paths}
 
 
 def number_pages(database: Database, binding: DbcBinding, folder: Path) -> None:

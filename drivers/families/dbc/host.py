@@ -21,6 +21,7 @@ Rules. What the binding (drivers.config.DbcBinding) means:
   as periodic says. The positions among them are sampled when they are asked for.
 - read_back: values that a drive is asked for, behind the commands: drivers/protocols/read_back.py has the rules. Until
   all are right the drive counts as in fault. vesc: likewise, of a VESC's configurations (vesc_reader.py).
+- endpoints: of ODrives, which can then be told to home by themselves (odrive_homing.py).
 - Signals of multiplexed messages are on pages of their own (dbc_binding.py).
 - command_counter, feedback_counter: the drives echo the commands' counter; both or none. Its length is the modulus;
   every command message may have one.
@@ -36,9 +37,9 @@ from collections.abc import Container, Sequence
 from typing import Any, NamedTuple
 
 from drivers.config import BusConfig, Wiring
+from drivers.families.dbc.homers import DbcHomers
 from drivers.families.dbc.layout import COUNTS, ENABLED, FAULT
 from drivers.families.dbc.page import BoundMessage
-from drivers.families.dbc.traffic import DbcTraffic
 from drivers.frame import ECHO, ERROR, REMOTE, Frame
 from drivers.frame_length import INTERMISSION, frame_bits
 from drivers.protocols.base import EVERY_STATUS, Command, Reject, Sample
@@ -57,7 +58,7 @@ class Turns(NamedTuple):
     turned: float
 
 
-class DbcHost(DbcTraffic):
+class DbcHost(DbcHomers):
     """HostProtocol of any DBC file."""
 
     def __init__(self, wiring: Wiring) -> None:
@@ -119,14 +120,11 @@ class DbcHost(DbcTraffic):
         """The samples in a message, their stamps estimated (sampling_clock.py). SERVICE for a state alone; no sample
         for a part of an answer that is waited for.
         """
+        if self._homing:
+            self._hear_homing(frame)
         pages = self._heard.get(frame.can_id)
         if pages is None:
-            if self._vesc and self._vesc.hears(frame.can_id):
-                refused = self._vesc.take(frame, self._tick)
-                return () if refused is None else refused
-            if frame.flags & ECHO:
-                self._clock.triggered(frame.timestamp_ns)
-            return reject_id(frame.can_id, self._heard, self._own)
+            return self._unbound(frame)
         samples: list[Sample] = []
         for page in pages:
             values = page.read(frame)
@@ -147,6 +145,15 @@ class DbcHost(DbcTraffic):
         if not samples:
             return Reject.SERVICE
         return samples[0] if len(samples) == 1 else tuple(samples)
+
+    def _unbound(self, frame: Frame) -> Reject | tuple[Sample, ...]:
+        """What a frame is in an identifier that no feedback is bound to."""
+        if self._vesc and self._vesc.hears(frame.can_id):
+            refused = self._vesc.take(frame, self._tick)
+            return () if refused is None else refused
+        if frame.flags & ECHO:
+            self._clock.triggered(frame.timestamp_ns)
+        return reject_id(frame.can_id, self._heard, self._own)
 
     def _sample(self, axis: int, frame: Frame, values: Sequence[Any]) -> Sample | None:
         """The sample of one axis in a frame, None where it is no position."""
@@ -213,17 +220,19 @@ class DbcHost(DbcTraffic):
         """What is known of a drive: nothing where it has been silent about its state for too long."""
         proved = self._proofs[axis].proved and (self._vesc is None or self._vesc.proved(axis))
         unproved = self._tick and not proved  # who only listens asks nobody
-        told = (FAULT if unproved or self._untold(axis) else self._fault[axis]) | self._switches[axis]
+        told = (FAULT if unproved else self._fault[axis]) | self._switches[axis]
         if not self._status:
-            return self._enabled >> axis & ENABLED | told
-        if self._tick - self._told_tick[axis] > self._state_ticks:
-            return told
-        return self._state[axis] | told
+            told |= self._enabled >> axis & ENABLED
+        elif self._tick - self._told_tick[axis] <= self._state_ticks:
+            told |= self._state[axis]
+        homer = self._homers[axis]
+        return (told if homer is None else homer.status(told)) | (FAULT if self._untold(axis) else 0)
 
     @property
     def problems(self) -> list[str]:
         """What drives were told and do not keep, for people."""
         told = [proof.problem for proof in self._proofs if proof.problem]
+        told += [homer.problem for homer in self._odrives if homer.problem]
         return told + self._vesc.problems if self._vesc else told
 
     def encode(self, command: Command) -> list[Frame]:
@@ -231,6 +240,7 @@ class DbcHost(DbcTraffic):
         check_force(command.force, self._rated)
         enable = command.enable
         self._tick += 1
+        asked = [homer.request(self._tick) for homer in self._odrives]
         if enable & ~self._enabled:
             self._sent.clear()  # a drive that has restarted since has forgotten
         for axis in range(self.n_axes):
@@ -242,7 +252,9 @@ class DbcHost(DbcTraffic):
         for (message, place), raw in self._constant:
             values[message][place.at] = raw
         for axis, (message, place) in enumerate(self._torque):
-            values[message][place.at] = place.raw(command.force[axis] if enable >> axis & 1 else 0.0)
+            homer = self._homers[axis]
+            told = enable >> axis & 1 and (homer is None or not homer.by_itself)
+            values[message][place.at] = place.raw(command.force[axis] if told else 0.0)
         self._put_enable(values, enable)
         for (message, place), (on, off) in zip(self._reset, self._reset_switch, strict=True):
             values[message][place.at] = on if command.reset else off
@@ -255,7 +267,9 @@ class DbcHost(DbcTraffic):
         frames += [message.frame(values[message]) for message in self._cyclic]
         if self._asked:
             frames += self._asking()
-        return frames + self._reading_back(reset=command.reset) if self._read_back or self._vesc else frames
+        if self._read_back or self._vesc:
+            frames += self._reading_back(reset=command.reset)
+        return [*frames, *(frame for frame in asked if frame is not None)]
 
     def _reading_back(self, *, reset: bool) -> list[Frame]:
         """The questions that are due."""
@@ -265,9 +279,13 @@ class DbcHost(DbcTraffic):
             if begins:
                 self._vesc.begin()
             frames += [] if self._enabled else self._vesc.ask(self._tick)
-        for asked, proof in zip(self._asked_of, self._proofs, strict=True):
+        homing = {homer.axis for homer in self._odrives if homer.busy}  # their values are others meanwhile
+        for axis, (asked, proof) in enumerate(zip(self._asked_of, self._proofs, strict=True)):
             if begins:
                 proof.begin()
+            if axis in homing:
+                proof.rest()
+                continue
             number = proof.ask(self._tick)
             if number is not None:
                 ask = asked[number].ask
@@ -281,7 +299,8 @@ class DbcHost(DbcTraffic):
             values[message][place.at] = enable if self._bit_per_axis else switched
             return
         for axis, ((message, place), (on, off)) in enumerate(zip(self._enable, self._switch, strict=True)):
-            values[message][place.at] = on if enable >> axis & 1 else off
+            homer, wanted = self._homers[axis], on if enable >> axis & 1 else off
+            values[message][place.at] = wanted if homer is None else homer.state(wanted)
 
     def _switching(self) -> list[Frame]:
         """The frames of start and stop that are due."""
