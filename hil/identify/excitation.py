@@ -22,6 +22,9 @@ FULL_PERIOD_S = 1e-3  # of ticks, for all lines
 FIRST_LINE, LAST_LINE, LINES = 2, 240, 108  # multiples of 1 / PERIOD_S: 4 to 480 Hz, at 1 kHz or more
 LAST_SHARE = 0.2  # of a slower rate, the last line: such drives sample in their own time
 BANDWIDTH_HZ, DAMPING = 10.0, 0.8  # of the loop
+# A weight that falls: how far it is off then (m), how long the stiff loop has it, and how fast that gives way.
+CAUGHT, LONGEST_WAIT_S, CATCH_S, SOFTEN_S = 5e-6, 0.3, 0.03, 0.05
+SOFTER = 0.5  # of its stiffness, that is left
 FILTER_HZ, FILTER_DAMPING = 70.0, 0.7  # second order, behind the loop: a resonance that nobody knows yet must not ring
 FULL_FROM_HZ = 30.0  # lines below are smaller in proportion, for the axis gives way more
 NS = 1e-9
@@ -47,7 +50,7 @@ def multisine_motion(mass: float) -> tuple[float, float]:
     """RMS way, m, and greatest speed, m/s, of an axis of that mass (kg) in the loop below, with 1 N a line; at slow
     rates hardly less, as the last lines move it least.
     """
-    stiffness, damping = _loop(1.0, BANDWIDTH_HZ)
+    stiffness, damping = _loop(1.0, (2.0 * math.pi * BANDWIDTH_HZ) ** 2)
     corner = 2.0 * math.pi * FILTER_HZ
 
     def given(s: complex) -> complex:
@@ -84,10 +87,9 @@ def _gain(default: float, unit: str, text: str) -> Gain:
     return Gain(default, unit, text)
 
 
-def _loop(mass: Any, hertz: Any) -> tuple[Any, Any]:
-    """Stiffness (N/m) and damping (N s/m) of a loop of that bandwidth."""
-    omega = 2.0 * math.pi * hertz
-    return mass * omega * omega, mass * 2.0 * DAMPING * omega
+def _loop(mass: Any, square: float) -> tuple[Any, Any]:
+    """Stiffness (N/m) and damping (N s/m) of a loop of that frequency, which is squared: (rad/s)^2."""
+    return mass * square, mass * 2.0 * DAMPING * math.sqrt(square)
 
 
 class Excitation(Law):
@@ -102,7 +104,7 @@ class Excitation(Law):
     GAINS: ClassVar[dict[str, Gain]] = {
         "mass": _gain(0.0, "kg", "that the loop is made for; 0: the model's"),
         "bandwidth_hz": _gain(BANDWIDTH_HZ, "Hz", "of the loop"),
-        "hold_hz": _gain(0.0, "Hz", "of the loop until `from_s`; 0: as later"),
+        "hold_hz": _gain(0.0, "Hz", "of the loop that catches a weight at first; 0: as later"),
         "coulomb": _gain(0.0, "N", "fed forward along the reference"),
         "gravity": Gain(0.0, "N", "that holds the axis; 0: the model's", least=-1e15),
         "integral_s": _gain(0.15, "s", "of the integrator, until `from_s`"),
@@ -119,8 +121,8 @@ class Excitation(Law):
     def __init__(self, model: Model, period: float, force_limit: Any, **gains: Any) -> None:
         g: dict[str, Any] = {key: gains.get(key, gain.default) for key, gain in self.GAINS.items()}
         mass = g["mass"] or model.mass
-        self._loop = _loop(mass, g["bandwidth_hz"])
-        self._hold = _loop(mass, g["hold_hz"] or g["bandwidth_hz"])
+        self._later = (2.0 * math.pi * g["bandwidth_hz"]) ** 2
+        self._first = max(self._later, (2.0 * math.pi * g["hold_hz"]) ** 2)
         self._mass, self._gravity, self._coulomb = mass, g["gravity"] or model.gravity, g["coulomb"]
         self._integral = period / g["integral_s"]
         self._limit, self._g, self._period = force_limit, g, period
@@ -131,6 +133,7 @@ class Excitation(Law):
     def reset(self, position: Any, force: Any) -> None:
         """The integrator and the triangles begin anew."""
         self._held = self._passed = self._step = 0.0
+        self._square, self._ticks, self._caught = self._first, 0, 0  # of the loop's frequency, (rad/s)^2
         self._size, self._cycle, self._grown = self._g["amplitude"], -1, -1
         self._low = self._high = self._begun = position
         self._centre = self._turned = 0.0
@@ -145,14 +148,29 @@ class Excitation(Law):
         error = start.position - inputs.position_estimate
         rate = start.velocity - inputs.velocity_estimate
         seconds = inputs.task_ns * NS
-        before = seconds < g["from_s"]
-        stiffness, damping = self._hold if before else self._loop
-        if before or not self._shape:
-            step = stiffness * self._integral * error
-            self._held = min(max(self._held + step, -0.5 * self._limit), 0.5 * self._limit)
+        holds = seconds < g["from_s"] or not self._shape
+        self._soften(error)
+        stiffness, damping = _loop(self._mass, self._square if holds else self._later)
+        if holds:
+            self._hold(stiffness * self._integral * error)
         along = self._mass * inputs.mean_acceleration + self._coulomb * self._friction(inputs.mean_velocity)
         back = self._filtered(stiffness * error + damping * rate)
         return back + self._held + self._gravity + along + self._added(seconds, inputs.position)
+
+    def _soften(self, error: float) -> None:
+        """From the loop that catches a weight, which swings on stiff friction where the mass is not there, to the later
+        one. The integrator takes over what the stiffness bore. It waits for the weight's fall.
+        """
+        self._ticks += 1
+        if abs(error) > CAUGHT or self._ticks * self._period > LONGEST_WAIT_S:
+            self._caught = self._caught or self._ticks
+        if self._caught and (self._ticks - self._caught) * self._period > CATCH_S:
+            less = (self._square - max(self._later, SOFTER * self._first)) * self._period / SOFTEN_S
+            self._square -= less
+            self._hold(self._mass * less * error)
+
+    def _hold(self, force: float) -> None:
+        self._held = min(max(self._held + force, -0.5 * self._limit), 0.5 * self._limit)
 
     def _friction(self, speed: Any) -> Any:
         """Of the reference, over Coulomb friction: it turns within `excursion`, not at once."""

@@ -29,7 +29,7 @@ STRETCH_SPEEDS = 6
 FIRST_PUSH = 0.002  # of limits.force
 EXCURSION, EXCURSION_COUNTS = {"linear": 20e-6, "rotary": 1e-4}, 10  # m, rad: of a push, and its least
 PUSH_HZ, PUSH_S = 4.0, 9.0
-HOLD_HZ = 20.0  # of the loop until a weight is found: gravity may be 30 % wrong, and half of the mass not there
+HOLD_HZ = 25.0  # of the loop that catches a weight: gravity may be 30 % wrong
 LOOP_HZ, LOOP_CYCLES = 2.5, 21
 LOOPS = (1.3, 0.1)  # of Coulomb friction, first and last: the first leaves the bristle in a known state
 LINE_SHARE = 0.06  # of Coulomb friction, each line of the multisine, at most
@@ -237,5 +237,5 @@ def rig_document(
 
 def _resting(axis: AxisConfig, found: Known | None) -> dict[str, float]:
     """Gains of an axis that rests: a weight that nobody has measured yet needs the stiffer loop."""
-    stiffer = {"bandwidth_hz": HOLD_HZ} if axis.model.gravity else {}
+    stiffer = {"hold_hz": HOLD_HZ} if axis.model.gravity else {}
     return stiffer if found is None else stiffer | {"mass": found.mass, "gravity": found.gravity}

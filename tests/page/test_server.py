@@ -137,7 +137,7 @@ def test_stop_goes_through_the_sidecar_and_comes_back_with_the_verdict(paired: P
 def test_without_a_sidecar_stop_says_whose_help_is_missing(told: Told, paired: Paired) -> None:
     answer = paired(Role.STOP).post("/rigs/paper/stop").json()
     assert not answer["accepted"]
-    assert "hil sidecar paper" in answer["said"]
+    assert "`hil sidecar FILE` starts one" in answer["said"]
 
 
 def test_one_operates_at_a_time_and_another_takes_over_by_saying_so(
