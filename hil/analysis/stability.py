@@ -23,6 +23,7 @@ from hil.control.laws.base import Array
 from hil.rig.schema import RigConfig, RigError
 
 REALISED = 240  # ticks of the answer from which poles are realised
+GONE = 1e-3  # of its peak: an answer that is all but gone
 ANSWER = 4000  # ticks of the answer from which margins are taken
 STABLE_RADIUS = 1.0 - 1e-6
 NEGLIGIBLE = 1e-5  # singular values below this fraction of the greatest are rounding, or drift of a settling filter
@@ -237,7 +238,16 @@ def is_stable(answer: Array, poles: list[complex]) -> bool:
     size = np.abs(answer)
     if not np.all(size < GROWN) or size[-(len(size) // 4) :].max() > DECAYED * size[1:].max():
         return False  # grows, or circles for ever
-    return max(map(abs, poles), default=0.0) < STABLE_RADIUS
+    return max(map(abs, poles), default=0.0) < STABLE_RADIUS or _fades(size)
+
+
+def _fades(size: Array) -> bool:
+    """Whether an answer is all but gone long after the ticks that poles are realised from, and fades on. Where a law
+    learns a wave of friction the loop varies with time, and a realised pole may be none of it.
+    """
+    quarter = len(size) // 4
+    before, last = size[-2 * quarter : -quarter].max(), size[-quarter:].max()
+    return bool(quarter >= REALISED and last < 0.5 * before and last < GONE * size.max())
 
 
 def offset_s(motion: Array, period: float) -> float:

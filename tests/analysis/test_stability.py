@@ -283,3 +283,12 @@ def test_a_motion_that_does_not_fade_is_unstable_whatever_its_poles_say(grows: f
     assert is_stable(answer, [0.5 + 0j]) == stable
     assert not is_stable(answer, [1.0 + 0j])
     assert not is_stable(answer, [0.5 + 0j, -1.0 + 0j])
+
+
+@pytest.mark.parametrize(("left", "growth", "stable"), [(0.0, 1.0, True), (1e-6, 1.003, False), (1e-4, 1.0, False)])
+def test_a_pole_counts_for_nothing_where_the_answer_is_gone(left: float, growth: float, stable: bool) -> None:
+    """Where a wave of friction is learnt the loop varies with time, and realising it gave a pole of 1.0029."""
+    ticks = np.arange(2000)
+    answer = 0.99**ticks + left * growth**ticks
+    assert is_stable(answer, [1.0029 + 0.1j]) is stable
+    assert not is_stable(answer[:500], [1.0029 + 0.1j]), "too short to tell"
