@@ -46,10 +46,20 @@ def test_a_drive_that_is_set_otherwise_is_told(kind: str, instead: dict[str, flo
     assert report.axes[1].problem.startswith(told)
 
 
-@pytest.mark.parametrize("name", ["paper", "microscope"])
-def test_so_are_the_projects_own(name: str) -> None:
-    bench = BringupBench(load_rig(RIGS / f"{name}.toml"), RIGS)
-    assert bench.survey().ready
+@pytest.mark.parametrize("rig", sorted(RIGS.glob("*.toml")), ids=lambda rig: rig.stem)
+def test_so_are_those_of_the_rigs_that_we_ship(rig: Path) -> None:
+    """Answers of RobStride have the drive's state in their identifiers, and were never heard at rest."""
+    report = BringupBench(load_rig(rig), RIGS).survey()
+    assert report.ready, [frame for frame in report.frames if frame.problem]
+
+
+def test_a_command_with_a_torque_in_its_identifier_is_somebody_elses() -> None:
+    bench = BringupBench(load_rig(RIGS / "robstride.toml"), RIGS)
+    survey = Survey(bench.host)
+    at_zero = next(message.can_id for message in bench.host.protocol.messages(1_000_000) if message.sender == "host")
+    bench.foreign = [Frame(at_zero ^ 0x40 << 8, bytes(8))]
+    bench.run(survey)
+    assert survey.report().intruder
 
 
 @pytest.mark.parametrize("kind", ["paper", "moteus", "odrive", "cia402"])

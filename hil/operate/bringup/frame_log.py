@@ -1,6 +1,6 @@
 """Everything heard on a bus, by identifier, and held against what a frame layout expects there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from drivers.protocols.base import Message, Reject
 
 _PERIOD_RATIO = 1.5  # between a period seen and the one expected, either way
 _MOST_EMERGENCIES = 64
+Names = Callable[[int], int]
 _BAD = (Reject.WRONG_LENGTH, Reject.WRONG_FORMAT, Reject.BAD_CHECKSUM, Reject.INVALID_VALUE)
 
 
@@ -35,16 +36,18 @@ class FrameLog:
     emergencies: in words, oldest first; all three since the start.
     """
 
-    def __init__(self, emergency_ids: dict[int, int] | None = None, *, canopen: bool = False) -> None:
+    def __init__(
+        self, emergency_ids: dict[int, int] | None = None, *, canopen: bool = False, whose: Names | None = None
+    ) -> None:
         """emergency_ids: identifier -> node, beside those of the predefined connection set. canopen: its services are
-        on this bus.
+        on this bus. whose: the identifier that a frame is counted under, its own where left out.
         """
         self.heard: dict[int, Heard] = {}
         self.error_frames = 0
         self.heartbeats: dict[int, int] = {}
         self.boot_ups: dict[int, int] = {}
         self.emergencies: list[str] = []
-        self._canopen = canopen
+        self._canopen, self._whose = canopen, whose
         self._emergency_ids = emergency_ids or {}
 
     def clear(self) -> None:
@@ -59,7 +62,8 @@ class FrameLog:
             if frame.can_id & ERROR:
                 self.error_frames += 1
                 continue
-            heard = self.heard.setdefault(frame.can_id, Heard(frame, frame.timestamp_ns))
+            can_id = self._whose(frame.can_id) if self._whose else frame.can_id
+            heard = self.heard.setdefault(can_id, Heard(frame, frame.timestamp_ns))
             heard.count += 1
             heard.last = frame
             heard.lengths.add(len(frame.data))
