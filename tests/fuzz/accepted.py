@@ -140,6 +140,9 @@ class _Here:
     def __exit__(self, *_: object) -> None:
         """Nothing to end."""
 
+    def shutdown(self, *, cancel_futures: bool) -> None:
+        """No job of it is left to be done."""
+
     def map(self, function: Callable[[Any], Any], work: Sequence[Any]) -> Iterator[Any]:
         """Results in the order of the jobs."""
         for job in work:
