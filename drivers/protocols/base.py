@@ -195,15 +195,23 @@ class OwnIds(NamedTuple):
         return isinstance(can_id, int) and can_id & self.mask in self.masked
 
 
+def fixed_bits(layout: HostProtocol) -> tuple[int, int]:
+    """Bits of an identifier that tell a command of the host, and those that tell an answer. They are all bits, but
+    where a layout has an `own_mask` (its commands have values in theirs) or an `answer_mask` (answers a drive's state).
+    """
+    unmounted = getattr(layout, "layout", layout)
+    return getattr(unmounted, "own_mask", -1), getattr(unmounted, "answer_mask", -1)
+
+
 def own_ids(layout: HostProtocol, period_ns: int = 1_000_000) -> list[OwnIds]:
     """Those of a layout, by segment: of its commands, SYNC and NMT. Not those of SDO requests, in which other tools may
-    ask a drive, too. A layout whose commands have values in the identifier says with `own_mask` which bits are fixed.
+    ask a drive, too.
     """
     unmounted = getattr(layout, "layout", layout)
     found = []
     for part in getattr(unmounted, "segments", (unmounted,)):
         messages = part.messages(period_ns)
-        mask = getattr(part, "own_mask", -1)
+        mask, _ = fixed_bits(part)
         own = {message.can_id & mask for message in messages if message.sender == "host" and not _is_service(message)}
         others = {message.can_id & mask for message in messages if message.sender != "host"}
         found.append(OwnIds(mask, frozenset(own | set(getattr(part, "network_ids", ()))) - others))

@@ -23,6 +23,9 @@ class Estimate(NamedTuple):
         return abs(truth - self.value) <= self.half_width
 
 
+WIDEST = 0.5  # half width over value of what is told
+
+
 class Refused(Exception):
     """A quantity that the data cannot tell; `reason` is one sentence with value and limit."""
 

@@ -123,6 +123,7 @@ class Excitation(Law):
         mass = g["mass"] or model.mass
         self._later = (2.0 * math.pi * g["bandwidth_hz"]) ** 2
         self._first = max(self._later, (2.0 * math.pi * g["hold_hz"]) ** 2)
+        self._softest = max(self._later, SOFTER * self._first)
         self._mass, self._gravity, self._coulomb = mass, g["gravity"] or model.gravity, g["coulomb"]
         self._integral = period / g["integral_s"]
         self._limit, self._g, self._period = force_limit, g, period
@@ -165,7 +166,7 @@ class Excitation(Law):
         if abs(error) > CAUGHT or self._ticks * self._period > LONGEST_WAIT_S:
             self._caught = self._caught or self._ticks
         if self._caught and (self._ticks - self._caught) * self._period > CATCH_S:
-            less = (self._square - max(self._later, SOFTER * self._first)) * self._period / SOFTEN_S
+            less = (self._square - self._softest) * self._period / SOFTEN_S
             self._square -= less
             self._hold(self._mass * less * error)
 

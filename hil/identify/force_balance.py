@@ -14,14 +14,13 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from hil.identify.estimate import Array, Estimate, Refused, damping, jackknife
+from hil.identify.estimate import WIDEST, Array, Estimate, Refused, damping, jackknife
 
 CORNER_HZ = 28.0  # of the Gaussian filter that all signals pass
 PLAY_COUNTS = 1.5  # of the encoder, ahead of the bristle: noise must not relax it
 LENGTHS = np.geomspace(0.02e-6, 1e-3, 40)  # m (rad), tried at first
 UNEXPLAINED = 0.15  # of the force's RMS, at most
 LEAST_COUNTS = 20.0  # of travel
-WIDEST = 0.5  # half width over value of what is told
 SYSTEMATIC = 0.03  # of the value: what a bristle of one length leaves out, which no block shows
 LENGTH_SYSTEMATIC = 0.07  # the same of the bristle's length: the play alone moves it by some per cent
 # What ordinary motion leaves open: by how much of Coulomb friction a place is off the travel, and how far the bristle's

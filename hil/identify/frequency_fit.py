@@ -73,10 +73,18 @@ class Axis(NamedTuple):
     chi2: float
 
 
+def paired(passes: Sequence[Pass]) -> list[tuple[Pass, Pass]]:
+    """Passes of one direction and opposite sign, the positive first."""
+    pairs: list[tuple[Pass, Pass]] = []
+    for direction in (1, -1):
+        positive, negative = ([p for p in passes if (p.direction, p.sign) == (direction, sign)] for sign in (1, -1))
+        pairs += zip(positive, negative, strict=False)
+    return pairs
+
+
 def too_few_pairs(passes: Sequence[Pass]) -> str:
-    """In words, where fewer than LEAST_PAIRS have another of their direction and the opposite sign; else ""."""
-    ways = [(one.direction, one.sign) for one in passes]
-    pairs = sum(min(ways.count((direction, sign)) for sign in (1, -1)) for direction in (1, -1))
+    """In words, where they make fewer than LEAST_PAIRS; else ""."""
+    pairs = len(paired(passes))
     return f"{pairs} pairs of passes with the multisine (at least {LEAST_PAIRS})" if pairs < LEAST_PAIRS else ""
 
 
@@ -88,7 +96,10 @@ def response_of(passes: Sequence[Pass], period: float, lines: Sequence[int], bas
     Two passes of one direction and opposite sign are taken together: what repeats along the travel drops out of their
     difference. Raises Refused.
     """
-    n = len(passes[0].force) if passes else 0
+    if too_few := too_few_pairs(passes):
+        raise Refused(too_few)
+    pairs = paired(passes)
+    n, m = len(passes[0].force), len(pairs)
     at = np.array(lines) * (n // base)
     window = np.hanning(n + 1)[:n]
     line = np.linspace(-1.0, 1.0, n)
@@ -97,22 +108,13 @@ def response_of(passes: Sequence[Pass], period: float, lines: Sequence[int], bas
         level: Array = (values - np.polyval(np.polyfit(line, values, 1), line)) * window
         return level
 
-    spectra = []
-    for p in passes:
+    def spectra(p: Pass) -> Complex:
         turned = p.sign * np.exp(-2j * np.pi * at / n * p.start)
         force = _of_steps(windowed(p.force), p.late / period, 2.0 * np.pi * at / n)
-        spectra.append((p, turned * force, turned * np.fft.rfft(windowed(p.position))[at]))
-    u, y = [], []
-    for direction in (1, -1):
-        positive = [(a, b) for p, a, b in spectra if p.direction == direction and p.sign > 0]
-        negative = [(a, b) for p, a, b in spectra if p.direction == direction and p.sign < 0]
-        for (u1, y1), (u2, y2) in zip(positive, negative, strict=False):
-            u.append(0.5 * (u1 + u2))
-            y.append(0.5 * (y1 + y2))
-    m = len(u)
-    if too_few := too_few_pairs(passes):
-        raise Refused(too_few)
-    force, position = np.array(u), np.array(y)
+        both: Complex = np.array([turned * force, turned * np.fft.rfft(windowed(p.position))[at]])
+        return both
+
+    force, position = np.array([0.5 * (spectra(a) + spectra(b)) for a, b in pairs]).swapaxes(0, 1)
     power = (np.abs(force) ** 2).sum(axis=0) * (np.abs(position) ** 2).sum(axis=0)
     coherence: Array = np.abs((position * force.conj()).sum(axis=0)) ** 2 / power
     mean = force.mean(axis=0)

@@ -208,7 +208,7 @@ def _too_many_held_up(run: Run, trial: Trial) -> str:
         passes = passes_of(signals(run, trial.axis, trial.folder), trial.plan)
     except Refused:
         return ""  # the fit says why
-    return "" if len(passes) == len(trial.plan.spans) else too_few_pairs(passes)
+    return too_few_pairs(passes)
 
 
 def kept_in(out: Path, axis: str, experiment: str) -> Path:

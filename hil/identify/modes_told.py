@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hil.identify.estimate import Estimate
+from hil.identify.estimate import WIDEST, Estimate
 from hil.rig.measured_table import MOST_OTHERS
 
-WIDEST = 0.5  # half width over value of the frequency and the load of what is told
 LEAST_TOOL = 0.1  # of the mass: nothing lighter is taken for the tool
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from hil.identify.curved_friction import Curved, Line, curved
-from hil.identify.estimate import Array, Estimate, Refused, damping, jackknife
+from hil.identify.estimate import WIDEST, Array, Estimate, Refused, damping, jackknife
 from hil.identify.places import PLACES, Points, SpeedPass, points_of, seen
 
 LEAST_PASSES = 4
@@ -30,7 +30,6 @@ SYSTEMATIC = {
 UNSEEN = 3.0  # times these, where friction may vary along the travel and no sinusoid was told
 PHASE = 0.015  # rad, the same of a sinusoid's phase
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
-WIDEST = 0.5  # half width over value of what is told where friction is curved over speed
 
 
 class TravelCurves(NamedTuple):

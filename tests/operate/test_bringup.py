@@ -53,6 +53,13 @@ def test_so_are_those_of_the_rigs_that_we_ship(rig: Path) -> None:
     assert report.ready, [frame for frame in report.frames if frame.problem]
 
 
+def test_an_answer_that_cannot_be_read_is_told_though_its_identifier_is_another() -> None:
+    """Mode 3 is none of RobStride's."""
+    bench = BringupBench(load_rig(RIGS / "robstride.toml"), RIGS)
+    bench.change = lambda frame: [frame._replace(can_id=frame.can_id | 3 << 22)]
+    assert {frame.problem for frame in bench.survey().frames} == {"cannot be read: invalid value"}
+
+
 def test_a_command_with_a_torque_in_its_identifier_is_somebody_elses() -> None:
     bench = BringupBench(load_rig(RIGS / "robstride.toml"), RIGS)
     survey = Survey(bench.host)

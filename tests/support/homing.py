@@ -1,9 +1,9 @@
 """One homing of a rig's first axis in lockstep, with switches, counter and stops as a test wants them."""
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from tests.support.paths import RIGS, ROOT
 PLACE = -0.02  # m, where the switch closes, the index or the stop is
 FARTHEST = 0.1  # m
 START, ZERO = 0.01, 0.0031  # m, where the table stands, and where its counter was switched on
+ABOVE, FORCE = PLACE + 0.012, 3.0  # m, N: where a table stands that its drive homes, and what the drive may ask for
 BY = {
     "switch": f"home={PLACE}",
     "limit": f"low={PLACE}",
@@ -69,6 +70,80 @@ def homing_rig(
             *more,
         ],
     )
+
+
+def homed_by_drive(
+    document: dict[str, Any], home: Mapping[str, Any], there: Mapping[str, Any], *, start: float, weight: float,
+    braked: bool, **drive: Any,
+) -> RigConfig:  # fmt: skip
+    """The rig of a document, whose X its drive homes so. there: X's [[plant.switches]]. weight: N, of the model, which
+    is never quite true. drive: keys of its [plant.drive].
+    """
+    x, plant = document["axes"]["x"], document["plant"]
+    asked = {"by": "drive", "farthest": FARTHEST, "speed": 0.05, "latch_speed": 0.02, "force": FORCE, "at": PLACE}
+    x["home"] = asked | dict(home)
+    x["model"]["gravity"] = weight
+    for axis in document["axes"].values():
+        del axis["push"]
+    document["drives"] = document.get("drives", {}) | {"brake": [braked, False]}
+    plant["gravity"] = [1.04 * weight, 0.0]
+    plant |= {"switches": [{"axis": "x", **there}], "initial_position": [start, 0.0]}
+    plant["drive"] |= drive
+    return RigConfig.model_validate(document)
+
+
+def homed_on(
+    rig: RigConfig, folder: Path, tampered: Callable[[LockstepRun], None] | None = None
+) -> tuple[LockstepRun, Homed]:
+    """As home_once; where it failed, the drives are without torque in the very next tick."""
+    run, homed = home_once(rig, folder, tampered=tampered)
+    if homed.fault is not Fault.NONE:
+        run.tick()
+        assert not any(servo.force for servo in run.stage.drives), "no torque is left"
+    return run, homed
+
+
+def on_the_way(do: Callable[[LockstepRun], object]) -> Callable[[LockstepRun], None]:
+    """Once, 5 mm behind where the table stood."""
+    done: list[int] = []
+
+    def tamper(run: LockstepRun) -> None:
+        if run.true_position[0] < ABOVE - 5e-3 and not done:
+            done.append(1)
+            do(run)
+
+    return tamper
+
+
+def stopped_by(command: CommandKind, rig: RigConfig, folder: Path) -> LockstepRun:
+    """A homing by the drive that an operator ends on the way: there is no torque from the next tick on."""
+
+    def stop(run: LockstepRun) -> None:
+        asked = [command]
+        run._operator = lambda run, index: [asked.pop()] if asked else ()
+
+    run, homed = home_once(rig, folder, tampered=on_the_way(stop))
+    assert not homed.known
+    run.tick()
+    place = run.true_position[0]
+    assert not any(servo.force for servo in run.stage.drives)
+    for _ in range(300):
+        run.tick()
+        assert not any(servo.force for servo in run.stage.drives)
+    assert abs(run.true_position[0] - place) < 5e-3
+    assert run.cycle.state is (State.READY if command is CommandKind.STOP else State.ESTOP)
+    return run
+
+
+def reset_to_ready(run: LockstepRun) -> None:
+    """A reset leads to READY."""
+    asked = [CommandKind.RESET]
+    run._operator = lambda run, index: [asked.pop()] if asked else ()
+    for _ in range(3000):
+        run.tick()
+        if run.cycle.state is State.READY:
+            break
+    assert run.cycle.state is State.READY, run.cycle.problems
 
 
 def home_once(

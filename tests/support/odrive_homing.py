@@ -11,11 +11,9 @@ from sim_plant.drives import odrive
 from sim_plant.drives.odrive_homing import HomingOdrive
 from tests.support.bought_drives import odrive as odrive_rig
 from tests.support.bought_drives import write_files
-from tests.support.homing import FARTHEST, PLACE, ZERO
+from tests.support.homing import ABOVE, PLACE, ZERO, homed_by_drive
 
 GEAR = 628.3185307179587  # N per N m
-START = PLACE + 0.012  # m
-FORCE = 3.0  # N
 FILE = "flat_endpoints.json"
 TYPES = {"I": "uint32", "?": "bool", "f": "float"}
 PATHS = {
@@ -36,7 +34,7 @@ def write_endpoints(folder: Path, without: str = "") -> None:
 
 
 def rig_of(
-    folder: Path, *, start: float = START, zero: float = ZERO, low: float | None = PLACE,
+    folder: Path, *, start: float = ABOVE, zero: float = ZERO, low: float | None = PLACE,
     home: dict[str, Any] | None = None, contact: str = "sound", weight: float = 0.0, brake: bool = False,
     mirrored: bool = False, binding: dict[str, Any] | None = None, **drive: Any,
 ) -> RigConfig:  # fmt: skip
@@ -46,21 +44,12 @@ def rig_of(
     for item in document["bus"]["dbc"]["read_back"]:
         item["endpoint"] = f"axis0.{PATHS[item['signal']]}"
     document["bus"]["dbc"] |= {"endpoints": FILE} | (binding or {})
-    x = document["axes"]["x"]
-    asked: dict[str, Any] = {"by": "drive", "method": HOMING, "farthest": FARTHEST, "speed": 0.05, "latch_speed": 0.02}
-    x["home"] = asked | {"acceleration": 2.0, "force": FORCE, "at": PLACE} | (home or {})
-    for axis in document["axes"].values():
-        del axis["push"]
     if mirrored:
-        x["direction"] = -1
+        document["axes"]["x"]["direction"] = -1
         document["plant"]["drive"]["turn"] = [-0.01, 0.01]
-    x["model"]["gravity"] = weight
-    document["drives"]["brake"] = [brake, False]
-    document["plant"]["gravity"] = [1.04 * weight, 0.0]
-    there = {"axis": "x", "zero": zero, "contact": contact} | ({} if low is None else {"low": low})
-    document["plant"] |= {"switches": [there], "initial_position": [start, 0.0]}
-    document["plant"]["drive"] |= drive
-    return RigConfig.model_validate(document)
+    told = {"method": HOMING, "acceleration": 2.0}
+    there = {"zero": zero, "contact": contact} | ({} if low is None else {"low": low})
+    return homed_by_drive(document, told | (home or {}), there, start=start, weight=weight, braked=brake, **drive)
 
 
 def node_of(run: LockstepRun) -> HomingOdrive:

@@ -1,6 +1,6 @@
 """Everything heard on a bus, by identifier, and held against what a frame layout expects there."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -94,12 +94,13 @@ class Comparison(NamedTuple):
     problem: str
 
 
-def compare(expected: Message, heard: Heard | None, reject: Reject | None, pace: float = 1.0) -> Comparison:
-    """One expected message. reject: why its newest frame could not be read, None where it could. pace: ticks took so
-    many times their period, and with them all that answers the host.
+def compare(expected: Message, heard: Heard | None, rejects: Mapping[int, Reject], pace: float = 1.0) -> Comparison:
+    """One expected message. rejects: why the newest frame of an identifier could not be read. pace: ticks took so many
+    times their period, and with them all that answers the host.
     """
     if heard is None:
         return Comparison(expected, 0, 0.0, None, "never heard")
+    reject = rejects.get(heard.last.can_id)
     period_s, due_s = heard.period_s, expected.period_ns * 1e-9 * (pace if expected.after else 1.0)
     problem = ""
     if not heard.lengths <= {expected.length, *expected.also}:

@@ -17,7 +17,7 @@ from drivers.families.cia402.node import NodeMaster, Phase
 from drivers.families.cia402.node_scan import NodeIdentity, NodeScan
 from drivers.families.cia402.profile import MASTER_ID
 from drivers.frame import ECHO, Frame
-from drivers.protocols.base import SERVICE, DriveStatus, Message
+from drivers.protocols.base import SERVICE, DriveStatus, fixed_bits
 from hil.operate.bringup.drive_host import DriveHost
 from hil.operate.bringup.frame_log import Comparison, FrameLog, compare
 
@@ -99,12 +99,6 @@ class SurveyReport:
         )
 
 
-def _by_mask(messages: Sequence[Message], mask: int) -> Callable[[int], tuple[int, str]]:
-    """Which of them an identifier is, by these bits of it: its own identifier and name; what it was and "" of none."""
-    known = {m.can_id & mask: (m.can_id, m.name) for m in messages}
-    return lambda can_id: known.get(can_id & mask, (can_id, ""))
-
-
 class Survey:
     """The procedure; `step` once a tick until `done`, then `report`."""
 
@@ -117,12 +111,13 @@ class Survey:
         plans = master.plans if master else []
         nodes = [node.node_id for node in master.nodes] if master else []
         emergency_ids = {plan.emcy_id: node for plan, node in zip(plans, nodes, strict=True) if plan.emcy_id}
-        # Identifiers of some drives hold their state, or the torque that they are told.
-        self._answers = _by_mask(self._messages, getattr(host.protocol, "answer_mask", -1))
-        self._commands = _by_mask(
-            [m for m in self._messages if m.sender == "host"], getattr(host.protocol, "own_mask", -1)
+        own, answers = fixed_bits(host.protocol)
+        self._own = own
+        self._commands = {m.can_id & own: m.name for m in self._messages if m.sender == "host"}
+        known = {m.can_id & answers: m.can_id for m in self._messages}
+        self.log = FrameLog(
+            emergency_ids, canopen=master is not None, whose=lambda can_id: known.get(can_id & answers, can_id)
         )
-        self.log = FrameLog(emergency_ids, canopen=master is not None, whose=lambda can_id: self._answers(can_id)[0])
         self._occasional = {*emergency_ids, *(cia301.SDO_RESPONSE_ID + node for node in nodes)}
         self._occasional |= {m.can_id for m in self._messages if (m.after or m.name).startswith(SERVICE)}
         self._nodes = nodes
@@ -146,7 +141,7 @@ class Survey:
 
     def _listen(self, now_ns: int, frames: Sequence[Frame]) -> list[Frame]:
         for frame in frames:
-            _, name = self._commands(frame.can_id)
+            name = self._commands.get(frame.can_id & self._own)
             if name and not frame.flags & ECHO:
                 self._report.intruder = f"{name} ({frame.can_id & 0x1FFFFFFF:X}h)"
                 self.done = True
@@ -225,8 +220,8 @@ class Survey:
         heard, times = self.log.heard, self._observed_ns
         if len(times) > 1:
             report.pace = (times[-1] - times[0]) * 1e-9 / ((len(times) - 1) * self._period_s)
-        rejects = self.host.rejects
-        report.frames = [compare(m, heard.get(m.can_id), rejects.get(m.can_id), report.pace or 1.0) for m in expected]
+        pace = report.pace or 1.0
+        report.frames = [compare(m, heard.get(m.can_id), self.host.rejects, pace) for m in expected]
         known = {m.can_id for m in self._messages} | self._occasional
         report.unknown = [(item.count, item.last) for can_id, item in sorted(heard.items()) if can_id not in known]
 

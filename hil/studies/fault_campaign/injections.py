@@ -8,7 +8,7 @@ from drivers.families.cia402 import cia301
 from drivers.families.cia402.cia301 import DriveState
 from drivers.frame import ECHO, Frame
 from drivers.protocols import device_protocol
-from drivers.protocols.base import Command, DriveStatus, Sample
+from drivers.protocols.base import Command, DriveStatus, Sample, fixed_bits
 from drivers.wire.faults import FaultKind, WireFault
 from hil.control.estimator.gains import design_gains
 from hil.control.laws.base import AxisLaws, LawInputs
@@ -282,8 +282,7 @@ def is_answer(run: LockstepRun, axis: int) -> Callable[[Frame], bool]:
     """Whether a frame is a cyclic answer of the axis' drive."""
     answers = run.cycle.protocol.messages(run.rig.period_ns)
     cyclic = next(m for m in answers if m.period_ns <= run.rig.period_ns and m.sender == f"axis {axis}")
-    layout = getattr(run.cycle.protocol, "layout", run.cycle.protocol)
-    mask = getattr(layout, "answer_mask", -1)  # of identifiers that hold a drive's state
+    _, mask = fixed_bits(run.cycle.protocol)
     return lambda frame: not frame.flags & ECHO and not (frame.can_id ^ cyclic.can_id) & mask
 
 

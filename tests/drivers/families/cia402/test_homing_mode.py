@@ -1,6 +1,5 @@
 """A bought drive that homes by itself when it is told to: bounded by way, time and torque, and back to torque mode."""
 
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,20 @@ from hil.virtual.lockstep import LockstepRun
 from sim_plant.drives.homing_drive import HomingDrive, Phase
 from tests.support.bought_drives import EDS, cia402
 from tests.support.foreign_drive import CST_DRIVE, FULL_DRIVE, I8, I32, U8, U16, U32, Fact, eds_text
-from tests.support.homing import FARTHEST, PLACE, ZERO, Homed, home_once
+from tests.support.homing import (
+    ABOVE,
+    FARTHEST,
+    FORCE,
+    PLACE,
+    ZERO,
+    home_once,
+    homed_by_drive,
+    homed_on,
+    reset_to_ready,
+    stopped_by,
+)
 
 COUNT = 1e-7  # m
-START = PLACE + 0.012  # m
-FORCE = 3.0  # N
 OBJECTS = {
     (0x6061, 0): Fact(I8, "ro", "1", True),
     (0x6072, 0): Fact(U16, "rw", "1000"),
@@ -39,7 +47,7 @@ NEGATIVE_SWITCH, INDEX_BELOW, HERE, UNKNOWN = 17, 33, 37, 99
 
 
 def rig_of(
-    folder: Path, method: int | None = INDEX_BELOW, *, start: float = START, mounted: int = 1, facts: Any = OBJECTS,
+    folder: Path, method: int | None = INDEX_BELOW, *, start: float = ABOVE, mounted: int = 1, facts: Any = OBJECTS,
     home: dict[str, Any] | None = None, watch_mode: bool = False, weight: float = 0.0, switches: bool = False,
     **drive: Any,
 ) -> RigConfig:  # fmt: skip
@@ -47,36 +55,19 @@ def rig_of(
     (folder / EDS).write_text(eds_text(CST_DRIVE | facts))
     document = cia402()
     document["bus"]["cia402"] |= {"watch_mode": watch_mode, "inputs": switches}
-    asked: dict[str, Any] = {"by": "drive", "farthest": FARTHEST, "speed": 0.05, "latch_speed": 0.02, "force": FORCE}
-    asked |= {"at": PLACE} | ({} if method is None else {"method": method, "acceleration": 2.0})
-    document["axes"]["x"] |= {"home": asked | (home or {}), "direction": mounted}
+    document["axes"]["x"]["direction"] = mounted
     document["axes"]["x"]["limits"]["switches"] = switches
-    for axis in document["axes"].values():
-        del axis["push"]
-    document["axes"]["x"]["model"]["gravity"] = weight
-    document["drives"] = document.get("drives", {}) | {"brake": [weight != 0.0, False]}
-    document["plant"]["gravity"] = [1.04 * weight, 0.0]  # the model is never quite true
-    there = {"axis": "x", "zero": ZERO, "index": PLACE, "low": PLACE}
-    document["plant"] |= {"switches": [there], "initial_position": [start, 0.0]}
-    document["plant"]["drive"] |= drive
-    return RigConfig.model_validate(document)
+    told = {} if method is None else {"method": method, "acceleration": 2.0}
+    there = {"zero": ZERO, "index": PLACE, "low": PLACE}
+    return homed_by_drive(
+        document, told | (home or {}), there, start=start, weight=weight, braked=weight != 0.0, **drive
+    )
 
 
 def node_of(run: LockstepRun) -> HomingDrive:
     node = run.stage.nodes[0]
     assert isinstance(node, HomingDrive)
     return node
-
-
-def homed_on(
-    rig: RigConfig, folder: Path, tampered: Callable[[LockstepRun], None] | None = None
-) -> tuple[LockstepRun, Homed]:
-    """As home_once; where it failed, the drives are without torque in the very next tick."""
-    run, homed = home_once(rig, folder, tampered=tampered)
-    if homed.fault is not Fault.NONE:
-        run.tick()
-        assert not any(servo.force for servo in run.stage.drives), "no torque is left"
-    return run, homed
 
 
 @pytest.mark.parametrize("watch_mode", [False, True])
@@ -182,13 +173,7 @@ def test_here_moves_nothing(tmp_path: Path) -> None:
 
 def back_in_torque_mode(run: LockstepRun) -> None:
     """The drive is told to come back, and a reset leads to READY."""
-    asked = [CommandKind.RESET]
-    run._operator = lambda run, index: [asked.pop()] if asked else ()
-    for _ in range(3000):
-        run.tick()
-        if run.cycle.state is State.READY:
-            break
-    assert run.cycle.state is State.READY
+    reset_to_ready(run)
     dictionary = node_of(run).dictionary
     assert dictionary.number(cia301.MODE << 8) == cia301.TORQUE_MODE
     assert dictionary.number(cia301.TORQUE_MAX << 8) == 1000
@@ -220,7 +205,7 @@ def test_a_homing_that_does_not_end_well_is_a_fault_without_torque(
 
 def test_a_drive_that_is_blocked_says_so(tmp_path: Path) -> None:
     def jam(run: LockstepRun) -> None:
-        if run.true_position[0] < START - 5e-3:
+        if run.true_position[0] < ABOVE - 5e-3:
             run.stage.jam(0, 50.0)
 
     run, homed = homed_on(rig_of(tmp_path), tmp_path, jam)
@@ -256,22 +241,7 @@ def test_a_drive_that_never_ends_it_is_stopped_in_time(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", [CommandKind.STOP, CommandKind.ESTOP])
 def test_an_operator_ends_it_at_once(command: CommandKind, tmp_path: Path) -> None:
-    asked = [command]
-
-    def stop(run: LockstepRun) -> None:
-        if run.true_position[0] < START - 5e-3:
-            run._operator = lambda run, index: [asked.pop()] if asked else ()
-
-    run, homed = home_once(rig_of(tmp_path), tmp_path, tampered=stop)
-    assert not homed.known
-    run.tick()
-    place = run.true_position[0]
-    assert not any(servo.force for servo in run.stage.drives)
-    for _ in range(300):
-        run.tick()
-        assert not any(servo.force for servo in run.stage.drives)
-    assert abs(run.true_position[0] - place) < 5e-3
-    assert run.cycle.state is (State.READY if command is CommandKind.STOP else State.ESTOP)
+    run = stopped_by(command, rig_of(tmp_path), tmp_path)
     if command is CommandKind.ESTOP:
         back_in_torque_mode(run)
     assert node_of(run).dictionary.number(cia301.MODE << 8) == cia301.TORQUE_MODE
@@ -280,7 +250,7 @@ def test_an_operator_ends_it_at_once(command: CommandKind, tmp_path: Path) -> No
 @pytest.mark.parametrize("silent", ["its answers", "the host"])
 def test_silence_ends_it(silent: str, tmp_path: Path) -> None:
     def fall_silent(run: LockstepRun) -> None:
-        if run.true_position[0] < START - 5e-3:
+        if run.true_position[0] < ABOVE - 5e-3:
             node_of(run)._tpdos[0].can_id = -1
 
     if silent == "its answers":
@@ -290,7 +260,7 @@ def test_silence_ends_it(silent: str, tmp_path: Path) -> None:
         return
     run = LockstepRun(rig_of(tmp_path), tmp_path)
     run._operator = lambda run, index: [CommandKind.HOME] if run.cycle.state is State.READY else ()
-    while run.true_position[0] > START - 5e-3:
+    while run.true_position[0] > ABOVE - 5e-3:
         run.tick()
     until_ns = node_of(run).now_ns + 1_000_000_000
     run.stage.advance(until_ns)
@@ -300,7 +270,7 @@ def test_silence_ends_it(silent: str, tmp_path: Path) -> None:
 
 def test_a_drive_that_boots_on_the_way_is_configured_anew(tmp_path: Path) -> None:
     def reboot(run: LockstepRun) -> None:
-        if run.true_position[0] < START - 5e-3:
+        if run.true_position[0] < ABOVE - 5e-3:
             node_of(run)._boot()
 
     run, homed = homed_on(rig_of(tmp_path), tmp_path, reboot)

@@ -14,38 +14,24 @@ from hil.cycle.axis_homing import Step as Sub
 from hil.cycle.fault_table import Fault
 from hil.cycle.state_machine import State
 from hil.cycle.tick import CommandKind
-from hil.rig.schema import RigConfig
 from hil.virtual.lockstep import LockstepRun
 from sim_plant.drives import odrive
 from sim_plant.drives.odrive_homing import Phase
 from sim_plant.drives.servo import NEVER_NS
-from tests.support.homing import FARTHEST, PLACE, Homed, home_once
-from tests.support.odrive_homing import FORCE, GEAR, START, node_of, rig_of
+from tests.support.homing import (
+    ABOVE,
+    FARTHEST,
+    FORCE,
+    PLACE,
+    home_once,
+    homed_on,
+    on_the_way,
+    reset_to_ready,
+    stopped_by,
+)
+from tests.support.odrive_homing import GEAR, node_of, rig_of
 
 NEAR = 20e-6  # m
-
-
-def homed_on(
-    rig: RigConfig, folder: Path, tampered: Callable[[LockstepRun], None] | None = None
-) -> tuple[LockstepRun, Homed]:
-    """As home_once; where it failed, the drives are without torque in the very next tick."""
-    run, homed = home_once(rig, folder, tampered=tampered)
-    if homed.fault is not Fault.NONE:
-        run.tick()
-        assert not any(servo.force for servo in run.stage.drives), "no torque is left"
-    return run, homed
-
-
-def on_the_way(do: Callable[[LockstepRun], object]) -> Callable[[LockstepRun], None]:
-    """Once, 5 mm behind the start."""
-    done: list[int] = []
-
-    def tamper(run: LockstepRun) -> None:
-        if run.true_position[0] < START - 5e-3 and not done:
-            done.append(1)
-            do(run)
-
-    return tamper
 
 
 def test_the_drive_homes_and_comes_back(tmp_path: Path) -> None:
@@ -69,7 +55,7 @@ def test_the_drive_homes_and_comes_back(tmp_path: Path) -> None:
 
 
 def test_a_drive_mounted_the_other_way_round_homes_towards_its_own_endstop(tmp_path: Path) -> None:
-    rig = rig_of(tmp_path, start=-START, mirrored=True, home={"at": -PLACE})
+    rig = rig_of(tmp_path, start=-ABOVE, mirrored=True, home={"at": -PLACE})
     run, homed = homed_on(rig, tmp_path)
     assert (homed.state, homed.known) == (State.READY, True), (homed.why, homed.fault)
     assert run.true_position[0] == pytest.approx(-PLACE, abs=1e-3)
@@ -163,13 +149,7 @@ def test_a_weight_on_a_brake_does_not_fall_while_the_drive_lets_go(tmp_path: Pat
 
 def back_as_before(run: LockstepRun) -> None:
     """A reset leads to READY, with the torque limits and the mode of before."""
-    asked = [CommandKind.RESET]
-    run._operator = lambda run, index: [asked.pop()] if asked else ()
-    for _ in range(3000):
-        run.tick()
-        if run.cycle.state is State.READY:
-            break
-    assert run.cycle.state is State.READY, run.cycle.problems
+    reset_to_ready(run)
     is_as_before(run)
 
 
@@ -295,7 +275,7 @@ def test_a_drive_that_is_blocked_pushes_with_no_more_than_home_force_until_its_t
 
     def jam(run: LockstepRun) -> None:
         forces.append(abs(run.stage.drives[0].force))
-        if run.true_position[0] < START - 5e-3:
+        if run.true_position[0] < ABOVE - 5e-3:
             run.stage.jam(0, 50.0)
 
     _, homed = homed_on(rig_of(tmp_path, home={"farthest": 0.05, "latch_speed": 0.05}), tmp_path, jam)
@@ -315,20 +295,7 @@ def test_a_drive_that_is_not_enabled_again_is_a_fault(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", [CommandKind.STOP, CommandKind.ESTOP])
 def test_an_operator_ends_it_at_once(command: CommandKind, tmp_path: Path) -> None:
-    def stop(run: LockstepRun) -> None:
-        asked = [command]
-        run._operator = lambda run, index: [asked.pop()] if asked else ()
-
-    run, homed = home_once(rig_of(tmp_path), tmp_path, tampered=on_the_way(stop))
-    assert not homed.known
-    run.tick()
-    place = run.true_position[0]
-    for _ in range(300):
-        assert not any(servo.force for servo in run.stage.drives)
-        run.tick()
-    assert abs(run.true_position[0] - place) < 5e-3
-    assert run.cycle.state is (State.READY if command is CommandKind.STOP else State.ESTOP)
-    is_as_before(run)
+    is_as_before(stopped_by(command, rig_of(tmp_path), tmp_path))
 
 
 def test_a_drive_that_is_not_put_right_is_refused_until_it_is(tmp_path: Path) -> None:
@@ -353,7 +320,7 @@ def test_silence_ends_it(silent: str, tmp_path: Path) -> None:
         return
     run = LockstepRun(rig_of(tmp_path), tmp_path)
     run._operator = lambda run, index: [CommandKind.HOME] if run.cycle.state is State.READY else ()
-    while run.true_position[0] > START - 5e-3:
+    while run.true_position[0] > ABOVE - 5e-3:
         run.tick()
     begun_ns = node_of(run).now_ns
     while run.stage.now_ns < begun_ns + 50_000_000:
