@@ -97,8 +97,7 @@ class ForceJudge:
         if (found := drag_of(model, self._period_s, axis)) is None:
             return None
         way, drag = found
-        known = self._seen[way] >= KNOWN
-        most = max(self._most[way] if known else 0.0, model.dry) + self._slack + (0.0 if known else model.dry)
+        most = self._largest_sound(way) + self._slack
         self._pushed_back |= self._went_back(axis, way)
         if drag < -self._slack:
             return _bias("force along the motion that nothing asks for", -drag, self._slack, way)
@@ -116,6 +115,14 @@ class ForceJudge:
             "move the axis by hand; clean and grease the guide, look at the cables",
             plain=drag > most + self._slack,
         )  # fmt: skip
+
+    def _largest_sound(self, way: float) -> float:
+        """Drag that a sound axis may have in that direction, N. Before a window has shown any it may be a dry friction
+        more than the model's; the more of KNOWN have, the less is added to theirs.
+        """
+        dry, unseen = self._axis.dry, 1.0 - min(self._seen[way], KNOWN) / KNOWN
+        shown = max(self._most[way], dry)
+        return min(shown + unseen * dry, 2.0 * dry) if unseen else shown
 
     def _went_back(self, axis: Mapping[str, Floats], way: float) -> bool:
         """Friction stops an axis; it never drives it backwards, further than the set-point's own motion and its law's
