@@ -75,7 +75,7 @@ def evidence(
         f"below their {100 * CONFIDENCE:.0f} % intervals; seed {', '.join(map(str, seeds))}"
     )
     _show(console, rig, names, rows, of, head(hard=hard))
-    console.print(f"{time.monotonic() - begun:.0f} s")
+    plain_console(stderr=True).print(f"{time.monotonic() - begun:.0f} s")  # no result: it differs each time
     if json_target:
         asked = {"learning": learning, "stages": stages, "seeds": seeds, "hard": hard, "measured": measured}
         document = {"rig": rig.name, "law": rig.law.name, **asked}

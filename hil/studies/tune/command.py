@@ -140,7 +140,7 @@ def tune(
     gains = _gains_to_write(rig, name, names, found)
     for key, values in gains.items():
         console.print(f"{key} = {values}", markup=False)
-    console.print(f"{time.monotonic() - begun:.0f} s")
+    plain_console(stderr=True).print(f"{time.monotonic() - begun:.0f} s")  # no result: it differs each time
     if all(axis.kept for axis in found):
         console.print(f"No better gains found; {rig_file} is unchanged", markup=False)
         return
