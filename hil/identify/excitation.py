@@ -16,6 +16,9 @@ NONE, GROWING, TRIANGLES, MULTISINE = 0, 1, 2, 3  # shapes of the force
 GROWTH = 1.25  # from one triangle to the next
 TRIANGLES_AT_SIZE = 3  # after growing
 BEYOND = 1.1  # of the force at which the axis gave way, those
+# Of its reach, the size of a triangle that stays clear of the end where the axis gave way, as it would creep on there;
+# in steps, for it must not be moved by them.
+CLEAR, CLEARER = 0.5, 0.9
 LEAST_WAY = 0.02  # of the excursion, that a cycle must have gone to be centred by
 PERIOD_S = 0.5  # of the multisine
 FULL_PERIOD_S = 1e-3  # of ticks, for all lines
@@ -98,7 +101,7 @@ class Excitation(Law):
     The force of each shape depends on task time alone, except for growing triangles. These stop growing, and end after
     three more, once they have moved the axis by `excursion` either way. A half of one that has moved it by twice that
     ends there, and all end beyond four times that. Each is centred by the drift of the one before it; where the axis
-    gave way at one end of its friction, the next goes on from there.
+    gave way at one end of its friction, the next ones grow away from there.
     """
 
     GAINS: ClassVar[dict[str, Gain]] = {
@@ -135,7 +138,8 @@ class Excitation(Law):
         """The integrator and the triangles begin anew."""
         self._held = self._passed = self._step = 0.0
         self._square, self._ticks, self._caught = self._first, 0, 0  # of the loop's frequency, (rad/s)^2
-        self._size, self._cycle, self._grown = self._g["amplitude"], -1, -1
+        self._reach = self._size = self._g["amplitude"]
+        self._clear, self._cycle, self._grown = 1.0, -1, -1
         self._low = self._high = self._begun = position
         self._centre = self._turned = 0.0
         self._over = False
@@ -243,11 +247,14 @@ class Excitation(Law):
         if top is not None and bottom is not None:
             self._grown, self._size, self._centre = cycle, BEYOND * 0.5 * (top - bottom), 0.5 * (top + bottom)
             return
-        self._size = min(self._size * GROWTH, 0.8 * self._limit)
+        self._reach = min(self._reach * GROWTH, 0.8 * self._limit)
+        self._size = self._clear * self._reach
+        if top is not None or bottom is not None:
+            self._clear = max(CLEARER * self._clear, CLEAR)
         if top is not None:
-            self._centre = top - self._size
+            self._centre = top - 2.0 * self._reach + self._size
         elif bottom is not None:
-            self._centre = bottom + self._size
+            self._centre = bottom + 2.0 * self._reach - self._size
 
     def _drift(self, position: float) -> float:
         """Of the cycle that ends, over its way, -1 to 1: what holds the axis may be anywhere within its friction."""

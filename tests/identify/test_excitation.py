@@ -88,6 +88,18 @@ def test_a_push_finds_both_ends_of_friction_wherever_it_begins(begins: float, he
     assert ends[-1] < 8000, "it is over, and its force stays"
 
 
+@pytest.mark.parametrize("held", [1.0, -1.0])
+def test_an_axis_that_rests_on_one_end_of_soft_friction_does_not_creep_along_it(held: float) -> None:
+    """The other end is twice Coulomb friction away, and it takes many triangles to get there."""
+    one = law(mass=0.5 * MASS, shape=GROWING, amplitude=0.02, from_s=0.0, until_s=9.0)
+    asked = at_rest(one)
+    force, position = record(
+        Bristle(COULOMB, 14e-6, 10.0), lambda t, x, v: asked(t, x, v) + held * COULOMB, 9.0, MASS, 1.2
+    )
+    assert (force.max() - force.min()) / 2.0 == pytest.approx(1.1 * COULOMB, rel=0.25)
+    assert np.abs(position).max() < 130e-6
+
+
 def test_the_loop_is_stable_at_slow_rates() -> None:
     slow = Excitation(Model(mass=MASS, coulomb=0.0, viscous=0.0, quadratic=0.0, gravity=0.0), 2.5e-3, 10.0)
     passed = [slow._filtered(1.0) for _ in range(200)]
