@@ -16,7 +16,7 @@ import numpy as np
 from hil.identify.estimate import Array
 from hil.identify.places import Points
 
-WORSE = 2.0  # times the least residual: what still explains the friction, about 95 % with eight speeds
+WORSE = 2.0  # times the least residual, or the noise: what still explains the friction, about 95 % with eight speeds
 EXACT = 3e-4  # of friction: a smaller residual explains it in any case
 SHAPES = 3
 DRAG = SHAPES  # number of the shape with the square of speed
@@ -57,7 +57,7 @@ class Curved(NamedTuple):
 
     def of(self, points: Points, speeds: Sequence[float]) -> "Curved":
         """The same shape and scale for other passes; the same altogether where they have too few speeds."""
-        speed, friction = over_speed(points, speeds)
+        speed, friction, _ = over_speed(points, speeds)
         if speed.size < UNKNOWNS:
             return self
         (_, viscous, amplitude), _ = _fit(speed, friction, self.shape, self.scale)
@@ -85,7 +85,7 @@ def curved(points: Points, speeds: Sequence[float]) -> Curved | Line:
     """The part of friction that no straight line over speed explains; a Line where one does, or where no more speeds
     than unknowns were passed both ways. speeds: of each pass, m/s.
     """
-    speed, friction = over_speed(points, speeds)
+    speed, friction, noise = over_speed(points, speeds)
     if speed.size <= UNKNOWNS:
         return Line()
     least, most = float(speed.min()), float(speed.max())
@@ -99,7 +99,7 @@ def curved(points: Points, speeds: Sequence[float]) -> Curved | Line:
     (coulomb, viscous, amplitude), dragged = _fit(speed, friction, DRAG, most)
     drag = Curved(DRAG, most, amplitude, least, viscous)
     best = min([left for left, *_ in tried], default=math.inf)
-    enough = max(WORSE * min(best, dragged), EXACT * float(friction.mean()))
+    enough = max(WORSE * min(best, dragged), EXACT * float(friction.mean()), WORSE * noise)
     (level, slope), left = _fit(speed, friction)
     if left <= enough:
         return Line(abs(coulomb - level), abs(viscous - slope))
@@ -116,9 +116,10 @@ def curved(points: Points, speeds: Sequence[float]) -> Curved | Line:
     return explain[nearest][1]._replace(coulomb_off=off[0], viscous_off=off[1])
 
 
-def over_speed(points: Points, speeds: Sequence[float]) -> tuple[Array, Array]:
+def over_speed(points: Points, speeds: Sequence[float]) -> tuple[Array, Array, float]:
     """Speed (m/s) and friction (N) at each speed that was passed both ways, (k,): half the difference of both ways'
-    forces, at the places that all passes went over. speeds: of each pass, m/s.
+    forces, at the places that all passes went over. speeds: of each pass, m/s. Besides the noise of friction, N: half
+    the sum of both ways' forces has the same, and no speed is in it.
     """
     up = points.velocity > 0.0
     count = np.array([np.unique(points.of_pass[way]).size for way in (~up, up)])
@@ -131,9 +132,10 @@ def over_speed(points: Points, speeds: Sequence[float]) -> tuple[Array, Array]:
         ways = [shared & (kinds == kind) & way for way in (up, ~up)]
         if all(way.any() for way in ways):
             forth, back = (points.force[way].mean() for way in ways)
-            rows.append((np.mean([np.abs(points.velocity[way]).mean() for way in ways]), 0.5 * (forth - back)))
-    speed, friction = np.array(rows).reshape(-1, 2).T
-    return speed, friction
+            speed = np.mean([np.abs(points.velocity[way]).mean() for way in ways])
+            rows.append((speed, 0.5 * (forth - back), 0.5 * (forth + back)))
+    measured, friction, place = np.array(rows).reshape(-1, 3).T
+    return measured, friction, float(np.std(place, ddof=1)) if len(rows) > 1 else 0.0
 
 
 def _fit(speed: Array, friction: Array, shape: int | None = None, scale: float = 1.0) -> tuple[list[float], float]:

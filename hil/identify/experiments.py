@@ -12,8 +12,17 @@ from typing import Any
 import numpy as np
 
 from hil.cycle.limits import oscillation_limit
+from hil.cycle.oscillation import LONGEST_SWING_S, SMALL
 from hil.identify.estimate import Array
-from hil.identify.excitation import GROWING, MULTISINE, PERIOD_S, TRIANGLES, Excitation, multisine_motion
+from hil.identify.excitation import (
+    BANDWIDTH_HZ,
+    GROWING,
+    MULTISINE,
+    PERIOD_S,
+    TRIANGLES,
+    Excitation,
+    multisine_motion,
+)
 from hil.rig.law_names import EXPERIMENT
 from hil.rig.schema import AxisConfig, RigConfig
 
@@ -38,9 +47,11 @@ SWING_SHARE = 0.1  # of limits.oscillation, RMS that the multisine moves the axi
 PEAK_SHARE = 0.5
 COMMISSIONED = 10.0  # tolerance of [axes.NAME.push]: signs and scales are still seen, though the model is to be found
 TURN_S = 0.15  # at rest between passes: else the swings of one and the turn behind it count as an oscillation
-SETTLE_S = 0.3  # of a pass at speed, before its periods
-PASS_PERIODS, PASSES = 2, 12
+SETTLE_S = 0.28  # of a pass at speed, before its periods
+SHORTER = 0.07  # of the reach, by which each way of the passes ends before the last
+PASS_PERIODS, PASSES, PASSES_EACH_WAY = 2, 12, 4
 CHECK_SHARE = 0.2  # of limits.speed: friction that varies along the travel must not shake the loose loop
+WAVE_SHARE = 0.8  # of the slowest oscillation's frequency, that of friction's waves then
 CHECK_S, SHORT_MOVES, SHORT_SHARE, SHORT_S = 4.0, 4, 0.1, 0.3  # sine; number of moves, size over the sine's, s of each
 
 
@@ -51,6 +62,8 @@ class Known:
     mass: float
     gravity: float = 0.0
     coulomb: float = 0.0
+    friction_variation: float = 0.0
+    friction_period: float = 0.0
 
 
 NOTHING: Mapping[str, Known] = {}
@@ -122,17 +135,23 @@ def moves(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
 
 
 def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
-    """Passes at constant speed with a multisine; its sign changes after every two passes."""
+    """Passes at constant speed with a multisine; its sign changes after every two passes.
+
+    Two passes take whole periods of it, so that those of opposite sign meet the same forces along the travel at the
+    same instants of it, and their difference is without them. Later passes go another way: what friction along the
+    travel makes of the multisine differs then, and is seen.
+    """
     centre, half = middle(axis)
-    constant = SETTLE_S + PASS_PERIODS * PERIOD_S + 2 * ROW_S
-    speed = min(2.0 * PASS_REACH * half / (constant + RAMP_S), SPEED_SHARE * axis.limits.speed)
+    lasts = SETTLE_S + PASS_PERIODS * PERIOD_S + 2 * ROW_S + RAMP_S
+    speed = min(2.0 * PASS_REACH * half / lasts, SPEED_SHARE * axis.limits.speed)
     path = _Passes(centre, SPEED_SHARE * axis.limits.speed)
-    reach = 0.5 * speed * (constant + RAMP_S)
+    reach = 0.5 * speed * lasts
     path.go_to(-reach)
     lead = path.seconds
     for number in range(PASSES):
-        way = -reach if number % 2 else reach
-        path.pass_between(-way, way, speed)
+        end = reach * (1.0 - SHORTER * (number // PASSES_EACH_WAY))
+        speed = (reach + end) / lasts
+        path.pass_between(*((-reach, end), (end, -reach))[number % 2], speed)
         path.rest(TURN_S)
     each = (path.seconds - lead) / PASSES
     path.go_to(0.0)
@@ -147,7 +166,8 @@ def frequency(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
 def check(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
     """What no other experiment does: a sine at 1 Hz that comes and goes, and short moves."""
     centre, half = middle(axis)
-    size = min(PASS_REACH * half, CHECK_SHARE * axis.limits.speed / (2.0 * math.pi))
+    speed = min(CHECK_SHARE * axis.limits.speed, _speed_of_slow_waves(axis, known))
+    size = min(PASS_REACH * half, speed / (2.0 * math.pi))
     seconds = np.arange(round(CHECK_S / ROW_S) + 1) * ROW_S
     grown = np.sin(0.5 * math.pi * np.clip(np.minimum(seconds, CHECK_S - seconds), 0.0, 1.0)) ** 2
     path = _Passes(centre, SPEED_SHARE * axis.limits.speed)
@@ -157,6 +177,16 @@ def check(axis: AxisConfig, known: Known, approach_s: float) -> Plan:
         path.rest(TURN_S)
     path.go_to(0.0, SHORT_S)
     return Plan(path.rows(), _gains(axis, known))
+
+
+def _speed_of_slow_waves(axis: AxisConfig, known: Known) -> float:
+    """At which friction that varies along the travel passes too slowly for its swings to count as an oscillation, m/s;
+    inf where it swings the loose loop too little to count.
+    """
+    swing = known.friction_variation * known.coulomb / (known.mass * (2.0 * math.pi * BANDWIDTH_HZ) ** 2)
+    if swing < SMALL * oscillation_limit(axis.limits):
+        return math.inf
+    return WAVE_SHARE * known.friction_period / (2.0 * LONGEST_SWING_S)
 
 
 EXPERIMENTS = {"push": push, "frequency": frequency, "moves": moves, "loops": loops, "check": check}

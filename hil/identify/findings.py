@@ -11,7 +11,7 @@ import numpy as np
 from hil.identify.elements import Elements, friction_at_rest
 from hil.identify.estimate import Array, Estimate, Refused
 from hil.identify.excitation import PERIOD_S, multisine_lines
-from hil.identify.experiments import PASS_PERIODS, RAMP_S, SETTLE_S, Known, Plan
+from hil.identify.experiments import PASS_PERIODS, PASSES_EACH_WAY, RAMP_S, SETTLE_S, Known, Plan
 from hil.identify.force_balance import Record, balance
 from hil.identify.frequency_fit import Complex, Pass, Response, fit_axis, response_of
 from hil.identify.late_friction import allow_for_late_friction
@@ -117,7 +117,8 @@ def passes_of(of: Signals, plan: Plan) -> list[Pass]:
         start = round(float(of.seconds[first]) / of.period)
         sign = -1 if number // 2 % 2 else 1
         if not of.stalled[part].any():
-            passes.append(Pass(of.step[part], of.late[part], of.position[part], 1 if speed > 0.0 else -1, sign, start))
+            at = (of.step[part], of.late[part], of.position[part])
+            passes.append(Pass(*at, 1 if speed > 0.0 else -1, sign, start, number // PASSES_EACH_WAY))
     return passes
 
 
@@ -151,10 +152,11 @@ def _moves(of: Signals, plan: Plan, axis: AxisConfig, findings: Findings, known:
             f"positions shifted by {drift.value:.2g} between the first pass and the last (at most {most:.2g}): "
             "does the scale slip, or does something grow warm?"
         )
+    wave = {name: fit.found[name].value for name in ("friction_variation", "friction_period") if name in fit.found}
     if fit.curves.curved:  # the loops are to reach friction at rest: what is nearest to it
         slowest = np.argmin(np.abs(fit.curves.speed))
-        return replace(known, coulomb=float(fit.curves.friction_at_speed[slowest]))
-    return replace(known, coulomb=fit.found["coulomb"].value)
+        return replace(known, coulomb=float(fit.curves.friction_at_speed[slowest]), **wave)
+    return replace(known, coulomb=fit.found["coulomb"].value, **wave)
 
 
 def _weighed(of: Signals, plan: Plan, findings: Findings, known: Known) -> Known:

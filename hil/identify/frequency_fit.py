@@ -41,7 +41,7 @@ LEAST_LOAD, MOST_LOAD = 1e-9, 0.95  # of the mass, that the search may try
 class Pass(NamedTuple):
     """force (N) and position (m) of one pass at constant speed, (n,); late: by how many s after a position's instant
     its force began. direction: of the motion, sign: of the multisine, 1 or -1. start: tick of its first value, counted
-    where the multisine's phase is 0.
+    where the multisine's phase is 0. way: number of those that the same places are passed on.
     """
 
     force: Array
@@ -50,6 +50,7 @@ class Pass(NamedTuple):
     direction: int
     sign: int
     start: int
+    way: int = 0
 
 
 class Response(NamedTuple):
@@ -74,11 +75,15 @@ class Axis(NamedTuple):
 
 
 def paired(passes: Sequence[Pass]) -> list[tuple[Pass, Pass]]:
-    """Passes of one direction and opposite sign, the positive first."""
+    """Passes of one direction and opposite sign, the positive first: of one way, or what others leave."""
     pairs: list[tuple[Pass, Pass]] = []
     for direction in (1, -1):
         positive, negative = ([p for p in passes if (p.direction, p.sign) == (direction, sign)] for sign in (1, -1))
-        pairs += zip(positive, negative, strict=False)
+        same = {p.way for p in positive} & {p.way for p in negative}
+        for chosen in (True, False):
+            pairs += zip(
+                *([p for p in each if (p.way in same) == chosen] for each in (positive, negative)), strict=False
+            )
     return pairs
 
 

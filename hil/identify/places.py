@@ -1,7 +1,7 @@
 """Passes at constant speed, as the mean force over each place along the travel."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,13 +10,14 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter1d
 
 from hil.identify.estimate import Array, Refused
-from hil.identify.force_balance import CORNER_HZ, EDGE_S, about_samples, lagged
+from hil.identify.force_balance import CORNER_HZ, EDGE_S, lagged
 
 # Of the travel, left out at the beginning of a pass, as cables that move along take a way to turn; at most of the pass.
 LEAD, MOST_LEAD = 0.08, 0.25
 STALL_S = 0.05, 0.15  # left out before a stall, for the filter, and behind it, until the loop is at rest again
 LEAST_SEEN = 0.1
-PLACES = 240  # along the travel; the force is averaged over each
+PLACES = 360  # along the travel; the force is averaged over each
+OF_TRIANGLE = np.array([1.0, 3.0, 3.0, 1.0]) / 8.0  # over four periods, of each
 SMOOTH_S = math.sqrt(math.log(2.0)) / (2.0 * math.pi * CORNER_HZ)  # standard deviation of the filter
 
 
@@ -55,12 +56,23 @@ def seen(points: Points, length: float) -> Array:
 
 def points_of(passes: Sequence[SpeedPass], period: float, mass: float, lag: float) -> Points:
     """Mean force less inertia over each place, whole places only."""
+    return _over_places(passes, period, [_force_less_inertia(one, period, mass, lag) for one in passes])
+
+
+def shown(passes: Sequence[SpeedPass], period: float, force: Callable[[Array, int], Array]) -> Array:
+    """What the same places show of a force that hangs on position (m) and direction (1 or -1), (k,)."""
+    forces = [force(one.position, 1 if one.speed > 0.0 else -1) for one in passes]
+    return _over_places(passes, period, [_mean_of_triangle(each) for each in forces]).force
+
+
+def _over_places(passes: Sequence[SpeedPass], period: float, forces: Sequence[Array]) -> Points:
+    """Means of the forces at the samples of each pass (n,), filtered as the position is, so that both are as late."""
     ends = [end for one in passes for end in (one.position.min(), one.position.max())]
     low, high = min(ends), max(ends)
     edges = np.linspace(low, high, PLACES + 1)
     columns: list[list[Array]] = [[], [], [], [], []]
-    for number, one in enumerate(passes):
-        position, force = _smooth(one, period, mass, lag)
+    for number, (one, each) in enumerate(zip(passes, forces, strict=True)):
+        position, force = (_smooth(values, one, period) for values in (one.position, each))
         turned = 1 if one.speed > 0.0 else -1
         lead = min(LEAD * (high - low), MOST_LEAD * float(np.ptp(one.position)))
         begin = one.position[0] + turned * lead
@@ -89,12 +101,29 @@ def _sound(when: Array, one: SpeedPass, period: float) -> NDArray[np.bool_]:
     return sound
 
 
-def _smooth(one: SpeedPass, period: float, mass: float, lag: float) -> tuple[Array, Array]:
-    """Position and force less inertia, filtered alike; without the ends, where the filter has half its data."""
-    width, edge = SMOOTH_S / period, round(EDGE_S / period)
-    if one.position.size < 3 * edge:
-        raise Refused(f"a pass at {one.speed:.3g} m/s is at constant speed for {one.position.size * period:.2g} s only")
-    position = gaussian_filter1d(one.position, width, mode="nearest")
-    force = gaussian_filter1d(about_samples(lagged(one.force, lag, period)), width, mode="nearest")
-    force = force - mass * np.gradient(np.gradient(position, period), period)
-    return position[edge:-edge], force[edge:-edge]
+def _force_less_inertia(one: SpeedPass, period: float, mass: float, lag: float) -> Array:
+    """At each sample, N. A difference over four periods shows an acceleration's mean with a triangle's weights: so is
+    the force's taken, and what is left of both is such a mean of friction.
+    """
+    force = np.pad(lagged(one.force, lag, period), (2, 1), mode="edge")
+    mean: Array = np.convolve(force, OF_TRIANGLE, mode="valid")
+    return mean - mass * _second_difference(one.position) / period**2
+
+
+def _mean_of_triangle(force: Array) -> Array:
+    """Of a force of the place, by its curvature."""
+    return force + _second_difference(force) / 3.0
+
+
+def _second_difference(values: Array) -> Array:
+    """Over four samples, 0 at the ends."""
+    return np.pad(values[4:] - 2.0 * values[2:-2] + values[:-4], 2) / 4.0
+
+
+def _smooth(values: Array, one: SpeedPass, period: float) -> Array:
+    """Filtered; without the ends, where the filter has half its data."""
+    edge = round(EDGE_S / period)
+    if values.size < 3 * edge:
+        raise Refused(f"a pass at {one.speed:.3g} m/s is at constant speed for {values.size * period:.2g} s only")
+    smooth: Array = gaussian_filter1d(values, SMOOTH_S / period, mode="nearest")
+    return smooth[edge:-edge]

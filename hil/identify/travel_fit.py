@@ -1,7 +1,6 @@
 """Friction and forces along the travel from passes at constant speed, both ways.
 
 What changes its sign with the direction is friction, what does not is a force of the place: gravity, cables, cogging.
-The balance is linear except for the periods along the travel, which are searched.
 """
 
 import math
@@ -9,19 +8,13 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from hil.identify.curved_friction import Curved, Line, curved
 from hil.identify.estimate import WIDEST, Array, Estimate, Refused, damping, jackknife
-from hil.identify.places import PLACES, Points, SpeedPass, points_of, seen
+from hil.identify.places import PLACES, Points, SpeedPass, points_of, seen, shown
+from hil.identify.waves import BASE, design, refined, searched, solve, waves_force, waves_seen
 
 LEAST_PASSES = 4
-PERIODS, SEEDS = 32, 3  # tried of each kind, and refined
-GAIN = 1.5  # by which a sinusoid along the travel must lower the residual's square to be told
-LEAST_PARTS, LONGEST = 4.0, 4.0  # periods are searched from the travel over the first squared to this many of it
-# Of friction from travel / FINEST on, as rolling elements pass: so many tried for each period in the travel.
-FINEST, DENSITY = 80.0, 2.5
-ASTRAY = 9.0  # of the logarithm of a period over the travel, in the search
 # Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
 SYSTEMATIC = {
     "coulomb": 0.001, "viscous": 0.015, "quadratic": 0.015, "friction_variation": 0.03, "friction_period": 0.001,
@@ -29,6 +22,7 @@ SYSTEMATIC = {
 }  # fmt: skip
 UNSEEN = 3.0  # times these, where friction may vary along the travel and no sinusoid was told
 PHASE = 0.015  # rad, the same of a sinusoid's phase
+SHAKEN = 3  # times that shaking is allowed for, each time by the waves that were found behind the last
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
 
 
@@ -56,9 +50,6 @@ class TravelFit(NamedTuple):
     curves: TravelCurves
 
 
-BASE = ("coulomb", "constant", "cable_stiffness")
-
-
 def travel_fit(
     passes: Sequence[SpeedPass], period: float, mass: float, lag: float = 0.0, rounding: float = 0.0
 ) -> TravelFit:
@@ -69,38 +60,35 @@ def travel_fit(
     ways = [sum(p.speed > 0.0 for p in passes), sum(p.speed < 0.0 for p in passes)]
     if min(ways) < LEAST_PASSES // 2:
         raise Refused(f"{ways[0]} and {ways[1]} passes at constant speed in the two directions (at least 2 each)")
-    speeds = [abs(p.speed) for p in passes]
+    pass_speeds = [p.speed for p in passes]
+    speeds = [abs(speed) for speed in pass_speeds]
     points = points_of(passes, period, mass, lag)
     centre = 0.5 * float(points.position.min() + points.position.max())
     points = points._replace(position=points.position - centre)
     refused = {}
     if max(speeds) < 1.5 * min(speeds):
         refused["viscous"] = f"one speed, {min(speeds):.3g} m/s: at least two that differ by half are needed"
-    over = Line() if refused else curved(points, [p.speed for p in passes])
-    bent = over if isinstance(over, Curved) else None
-    viscous = 0.0 if refused else bent.viscous if bent else _viscous(points)
-    level = _without_speed(points, viscous, bent)
-    waves = _waves(level)
-    x, rest = _solve(level, waves)
-    residual = float(np.sqrt((rest**2).mean()))
+    fit = _over_speed_and_travel(passes, period, points, centre, sloped=not refused)
+    points, waves, x, bent = fit.points, fit.waves, fit.x, fit.bent
+    residual = float(np.sqrt((fit.rest**2).mean()))
     if x[0] <= 0.0 or residual > UNEXPLAINED * x[0]:
         raise Refused(f"{residual:.3g} N RMS left unexplained at a Coulomb friction of {x[0]:.3g} N (at most 20 %)")
     without = []
     for left_out in range(len(passes)):
         kept = points.of_pass != left_out
-        part = Points(*(values[kept] for values in points))
-        bent_too = bent.of(part, [p.speed for p in passes]) if bent else None
-        other = 0.0 if refused else bent_too.viscous if bent_too else _viscous(part)
+        part, even = (Points(*(values[kept] for values in each)) for each in (points, fit.flat))
+        bent_too = bent.of(even, pass_speeds) if bent else None
+        other = 0.0 if refused else bent_too.viscous if bent_too else _viscous(even)
         part = _without_speed(part, other, bent_too)
-        shifted = _refined(part, waves)
-        y, _ = _solve(part, shifted)
+        shifted = refined(part, waves)
+        y, _ = solve(part, shifted)
         told = (*_told(y, shifted, points, -centre).values(), *_drift(part, shifted, y).values())
         without.append(np.array([other, bent_too.drag if bent_too else 0.0, *told]))
     values = {
-        "viscous": viscous,
+        "viscous": fit.viscous,
         "quadratic": bent.drag if bent else 0.0,
         **_told(x, waves, points, -centre),
-        **_drift(level, waves, x),
+        **_drift(fit.level, waves, x),
     }
     half = jackknife(_unwrapped(without, values)).tolist()
     unseen = 1.0 if waves else UNSEEN
@@ -117,7 +105,7 @@ def travel_fit(
     }
     if not found["quadratic"].value:
         del found["quadratic"]
-    _allow_for(over, found, refused)
+    _allow_for(fit.over, found, refused)
     travel = float(np.ptp(points.position))
     for kind, name, period_of in WAVES:
         length = next((length for odd, length in waves if odd is kind), None)
@@ -130,9 +118,9 @@ def travel_fit(
         if name in refused:
             for gone in (name, period_of, period_of.replace("period", "phase")):
                 found.pop(gone, None)
-    hidden = x @ (_design(level, waves, blurred=False) - _design(level, waves))
-    whole = level._replace(force=level.force + hidden)
-    curves = _curves(whole, centre, rest, [p.speed for p in passes], float(x[0]), viscous, bent)
+    hidden = x @ (design(fit.level, waves, blurred=False) - design(fit.level, waves))
+    whole = fit.level._replace(force=fit.level.force + hidden)
+    curves = _curves(whole, centre, fit.rest, pass_speeds, float(x[0]), fit.viscous, bent)
     return TravelFit(found, refused, residual, curves)
 
 
@@ -194,6 +182,48 @@ def _curves(
     return TravelCurves(position, friction, place_force, np.array(speeds), at_speed, viscous, bent)
 
 
+class _Fit(NamedTuple):
+    """What changes with speed, and along the travel. points: as they were at constant speed; of these, level: less what
+    changes with speed; flat: less the waves.
+    """
+
+    viscous: float
+    over: Curved | Line
+    waves: list[tuple[bool, float]]
+    x: Array
+    rest: Array
+    points: Points
+    level: Points
+    flat: Points
+
+    @property
+    def bent(self) -> Curved | None:
+        """The part that is no straight line over speed."""
+        return self.over if isinstance(self.over, Curved) else None
+
+
+def _over_speed_and_travel(
+    passes: Sequence[SpeedPass], period: float, raw: Points, centre: float, *, sloped: bool
+) -> _Fit:
+    """Waves shake a loose axis, which is slow where friction is great. Of their force such passes show another share
+    than passes at constant speed: it is told by the waves found, and taken out. sloped: friction over speed is told.
+    """
+    points = flat = raw
+    waves: list[tuple[bool, float]] = []
+    for number in range(1 + SHAKEN):
+        over = curved(flat, [p.speed for p in passes]) if sloped else Line()
+        bent = over if isinstance(over, Curved) else None
+        viscous = 0.0 if not sloped else bent.viscous if bent else _viscous(flat)
+        level = _without_speed(points, viscous, bent)
+        waves = refined(level, waves) if number else searched(level)
+        x, rest = solve(level, waves)
+        if not waves:
+            break
+        flat = raw._replace(force=raw.force - shown(passes, period, waves_force(waves, x, centre)))
+        points = raw._replace(force=flat.force + waves_seen(raw, waves, x))
+    return _Fit(viscous, over, waves, x, rest, points, level, flat)
+
+
 def _viscous(points: Points) -> float:
     """By how much the force grows with speed, N s/m: compared at the same place and in the same direction, where all
     else is the same whatever it is.
@@ -213,72 +243,6 @@ def _viscous(points: Points) -> float:
 def _without_speed(points: Points, viscous: float, bent: Curved | None) -> Points:
     force = points.force - viscous * points.velocity
     return points._replace(force=force - np.sign(points.velocity) * bent.at(points.velocity) if bent else force)
-
-
-def _design(points: Points, waves: Sequence[tuple[bool, float]], *, blurred: bool = True) -> Array:
-    """(k, n): BASE, then sine and cosine of every wave; a wave of friction (True) changes sign with the direction.
-    blurred: as filter and places show them.
-    """
-    direction = np.sign(points.velocity)
-    rows = [direction, np.ones_like(direction), points.position]
-    for odd, length in waves:
-        angle = 2.0 * np.pi * points.position / length
-        factor = (direction if odd else 1.0) * (seen(points, length) if blurred else 1.0)
-        rows += [factor * np.sin(angle), factor * np.cos(angle)]
-    return np.array(rows)
-
-
-def _solve(points: Points, waves: Sequence[tuple[bool, float]]) -> tuple[Array, Array]:
-    a = _design(points, waves)
-    size = np.sqrt((a * a).mean(axis=1))
-    size[size == 0.0] = 1.0
-    x, *_ = np.linalg.lstsq((a / size[:, None]).T, points.force, rcond=1e-9)
-    return x / size, points.force - x @ (a / size[:, None])
-
-
-def _square(points: Points, waves: Sequence[tuple[bool, float]]) -> float:
-    rest = _solve(points, waves)[1]
-    return float(rest @ rest)
-
-
-def _waves(points: Points) -> list[tuple[bool, float]]:
-    """The periods along the travel that are worth it: one of friction, one of the place, searched together."""
-    travel = float(np.ptp(points.position))
-    lengths = np.geomspace(travel / LEAST_PARTS**2, LONGEST * travel, PERIODS).tolist()
-    counts = np.arange(LEAST_PARTS**2, FINEST, 1.0 / DENSITY)
-    fine = sorted((travel / counts).tolist(), key=lambda length: _square(points, [(True, length)]))
-    single = [[(odd, length)] for odd in (True, False) for length in lengths]
-    single += [[(True, length)] for length in fine[:SEEDS]]
-    pairs = [[(True, odd), (False, even)] for odd in lengths + fine[:1] for even in lengths]
-    best: list[tuple[bool, float]] = []
-    least = _square(points, best)
-    for tried in (single, pairs):
-        seeds = sorted(tried, key=lambda waves: _square(points, waves))[:SEEDS]
-        found = [_refined(points, waves) for waves in seeds]
-        squares = [_square(points, waves) for waves in found]
-        if min(squares) * GAIN < least:
-            least, best = min(squares), found[int(np.argmin(squares))]
-    return best
-
-
-def _refined(points: Points, waves: Sequence[tuple[bool, float]]) -> list[tuple[bool, float]]:
-    """The periods where the residual is least, from these on."""
-    if not waves:
-        return []
-    kinds = [odd for odd, _ in waves]
-    size, middle = float(np.sqrt((points.force**2).mean())), math.log(float(np.ptp(points.position)))
-
-    def lengths(logs: Array) -> list[float]:
-        """Within what a search may try and numbers bear."""
-        found: list[float] = np.exp(np.clip(logs, middle - ASTRAY, middle + ASTRAY)).tolist()
-        return found
-
-    def rest(logs: Array) -> Array:
-        left: Array = _solve(points, list(zip(kinds, lengths(logs), strict=True)))[1]
-        return left / size
-
-    done = least_squares(rest, np.log([length for _, length in waves]), max_nfev=40, xtol=1e-10, ftol=1e-12)
-    return list(zip(kinds, lengths(done.x), strict=True))
 
 
 def _told(x: Array, waves: Sequence[tuple[bool, float]], points: Points, zero: float) -> dict[str, float]:
@@ -308,7 +272,7 @@ def _drift(points: Points, waves: Sequence[tuple[bool, float]], x: Array) -> dic
     """
     if not waves:
         return {}
-    base = _design(points, waves)
+    base = design(points, waves)
     slope = np.zeros(points.position.size)
     for i, (odd, length) in enumerate(waves):
         turn, (sine, cosine) = 2.0 * np.pi / length, x[len(BASE) + 2 * i :][:2]

@@ -114,7 +114,7 @@ def truth_of_axis(plant: PlantConfig, axis: str, number: int, travel: float) -> 
         "constant": -of("gravity") - of("bias") - pulled,
         "presliding": of("presliding"),
         "stiffness": local / of("presliding"),
-        "friction_variation": of("friction_variation"),
+        "friction_variation": of("friction_variation") * of("coulomb") / (of("coulomb") + of("cable_hysteresis")),
         "friction_period": of("friction_period"),
         "cogging_amplitude": waves[0].amplitude,
         "cogging_period": waves[0].period,

@@ -5,7 +5,7 @@ import pytest
 
 from hil.analysis.flexible_plant import AxisDynamics
 from hil.identify.estimate import Estimate, Refused
-from hil.identify.frequency_fit import Pass, Response, fit_axis, response_of
+from hil.identify.frequency_fit import Pass, Response, fit_axis, paired, response_of
 from hil.identify.modes_told import Mode, modes_told
 
 PERIOD, FINE, BASE = 1e-3, 40, 200
@@ -60,6 +60,15 @@ def test_a_mode_is_found() -> None:
     assert found["mode_damping"].value == pytest.approx(DAMPING, rel=0.15)
     assert found["mode_load"].value == pytest.approx(LOAD, abs=0.02)
     assert found["torque_lag"].value == pytest.approx(LAG, abs=60e-6)
+
+
+def test_passes_are_paired_by_their_way_first_where_stalls_left_some_out() -> None:
+    def one(sign: int, way: int) -> Pass:
+        return Pass(np.zeros(4), np.zeros(4), np.zeros(4), 1, sign, 0, way)
+
+    left = [one(1, 0), one(-1, 1), one(1, 1), one(-1, 2)]  # the others stalled
+    assert [(a.way, b.way) for a, b in paired(left)] == [(1, 1), (0, 2)]
+    assert all((a.sign, b.sign) == (1, -1) for a, b in paired(left))
 
 
 @pytest.mark.parametrize("steps", [8, 20, FINE])

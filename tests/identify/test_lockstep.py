@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.identify.excitation import PERIOD_S
 from hil.identify.experiments import EXPERIMENTS, HOLD_HZ, ROW_S, Known, Plan, rig_document
 from hil.identify.findings import from_run
 from hil.identify.lockstep import Trial, identify, in_virtual_time
@@ -70,6 +71,33 @@ def test_an_axis_with_a_weight_comes_first_and_is_then_held_by_what_was_found() 
     first, second = (trial.document["law"]["gains"] for trial in trials)
     assert first["hold_hz"] == second["hold_hz"] == [0.0, 0.0, HOLD_HZ, 0.0], "no other axis has a weight"
     assert second["gravity"][2] == 2.45, "as it was found"
+
+
+@pytest.mark.parametrize("speed", [0.08, 4e-3])
+def test_passes_of_opposite_sign_meet_the_same_places_at_the_same_instants_of_the_multisine(speed: float) -> None:
+    """Else cogging stays in their difference: at 12.8 Hz, half a period late, it made 4 dB of theta's line at 12 Hz."""
+    axis = rigs.one_axis().config.axes["x"]
+    limits = axis.limits.model_copy(update={"speed": speed})
+    plan = EXPERIMENTS["frequency"](axis.model_copy(update={"limits": limits}), Known(1.0, 0.0, 0.6), 1.0)
+    begins = np.array([begin for begin, *_ in plan.spans])
+    assert plan.gains["alternate_s"] == pytest.approx(begins[2] - begins[0])
+    for number in (0, 1, 4, 5, 8, 9):
+        periods = (begins[number + 2] - begins[number]) / PERIOD_S
+        assert periods == pytest.approx(round(periods), abs=1e-6)
+        places = [plan.positions[round((begins[at] - 1.0) / ROW_S)] for at in (number, number + 2)]
+        assert places[0] == pytest.approx(places[1], abs=1e-9)
+    assert len({round(way, 6) for _, _, way in plan.spans}) == 6, "three ways, there and back"
+
+
+def test_check_moves_slowly_where_friction_that_passes_would_shake_the_axis() -> None:
+    """Swings count as an oscillation from 5 Hz on; friction of a period of 2 mm passes at 4 Hz then."""
+    axis = rigs.one_axis().config.axes["x"]
+    steady, light = Known(1.0, 0.0, 0.6, 0.1, 2e-3), Known(0.1, 0.0, 0.6, 0.1, 2e-3)
+    fast, slow = (
+        np.abs(np.diff(EXPERIMENTS["check"](axis, one, 1.0).positions)).max() / ROW_S for one in (steady, light)
+    )
+    assert fast == pytest.approx(0.2 * axis.limits.speed, rel=0.1)
+    assert slow == pytest.approx(2e-3 * 4.0, rel=0.1)
 
 
 @pytest.mark.long
