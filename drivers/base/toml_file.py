@@ -96,6 +96,11 @@ def short(text: str, most: int = _SHOWN) -> str:
     return printable(text if len(text) <= most else f"{text[:most]}...")
 
 
+def own_words(message: str) -> str:
+    """A check's own words, without those that pydantic puts before them."""
+    return message.removeprefix("Value error, ")
+
+
 def first_problems(problems: Sequence[Any], line: Callable[[Any], str]) -> list[str]:
     """As many problems of a file as somebody reads, a line each, and how many more there are."""
     left_out = len(problems) - MOST_PROBLEMS

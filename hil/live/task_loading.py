@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from drivers.base.toml_file import first_problems, shown
+from drivers.base.toml_file import first_problems, own_words, shown
 from hil.analysis.start_ranges import start_ranges
 from hil.control.law_registry import is_built_in
 from hil.control.laws import designed_laws, make_axis_laws
@@ -48,9 +48,9 @@ def _rig_with(rig: RigConfig, table: str, document: str) -> RigConfig:
             first_problems(
                 error.errors(include_url=False),
                 lambda item: (
-                    f"{'.'.join(map(str, item['loc']))} = {shown(item.get('input'))}: {item['msg']}"
+                    f"{'.'.join(map(str, item['loc']))} = {shown(item.get('input'))}: {own_words(item['msg'])}"
                     if item["loc"]
-                    else item["msg"].removeprefix("Value error, ")
+                    else own_words(item["msg"])
                 ),
             )
         ) from None

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
+from drivers.base.toml_file import own_words
 from drivers.config import BusConfig, Option
 
 InterfaceOption = Annotated[
@@ -47,6 +48,6 @@ def invalid_words(error: ValidationError) -> str:
     words = []
     for problem in error.errors():
         place = ".".join(str(part) for part in problem["loc"])
-        text = problem["msg"].removeprefix("Value error, ")
+        text = own_words(problem["msg"])
         words.append(f"{place} = {problem['input']!r}: {text}" if place else text)
     return "; ".join(words)

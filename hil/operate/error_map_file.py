@@ -11,6 +11,7 @@ import tomlkit
 from pydantic import ValidationError
 
 from drivers.base.named_file import write_text
+from drivers.base.toml_file import own_words
 from hil.control.error_map import ErrorMap
 from hil.control.laws.base import Array
 from hil.operate.approach_file import ENCODER, Deviations, read_reference
@@ -61,7 +62,7 @@ def write_corrected(rig: Path, config: RigConfig, reference: Path, target: Path)
         try:
             found[name] = corrections(axis, by_encoder[name], config.axes[name].error_map)
         except ValidationError as error:
-            why = error.errors()[0]["msg"].removeprefix("Value error, ")
+            why = own_words(error.errors()[0]["msg"])
             raise RigError([f"{reference}, axis {name}: {why}"]) from None
     digest = hashlib.sha256(reference.read_bytes()).hexdigest()
     text = _rig_text(by_name("rigs", rig), found, f"{reference.name} sha256 {digest[:16]}")

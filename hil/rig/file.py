@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from drivers.base.text_file import words_of
-from drivers.base.toml_file import TomlError, first_problems, parse_toml, read_toml, short, shown
+from drivers.base.toml_file import TomlError, first_problems, own_words, parse_toml, read_toml, short, shown
 from hil.rig.brought import BroughtError, bring
 from hil.rig.former_keys import FormerKeyError, FormerKeyWarning, modernise
 from hil.rig.layout import demands, host_layout
@@ -32,7 +32,8 @@ def _describe(error: dict[str, Any]) -> str:
     value = error.get("input")
     given = "" if isinstance(value, dict) else f" = {shown(value)}"
     unknown = error["type"] == "extra_forbidden"
-    return f"{path}{given}: " + (f"no such key; {nearest(error['loc'])}" if unknown else short(error["msg"], _LONGEST))
+    words = f"no such key; {nearest(error['loc'])}" if unknown else short(own_words(error["msg"]), _LONGEST)
+    return f"{path}{given}: {words}"
 
 
 def parse_override(text: str) -> tuple[list[str], Any]:

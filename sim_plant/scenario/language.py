@@ -20,7 +20,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from drivers.base.keys import Table
 from drivers.base.text_file import words_of
-from drivers.base.toml_file import TomlError, first_problems, read_toml, short, shown
+from drivers.base.toml_file import TomlError, first_problems, own_words, read_toml, short, shown
 from drivers.protocols.base import DriveStatus
 from drivers.wire.faults import FOREVER_NS, FaultKind, WireFault
 
@@ -281,4 +281,4 @@ def _describe(error: dict[str, Any]) -> str:
     path = [str(part + 1) if isinstance(part, int) else short(part) for part in error["loc"]]
     value = error["input"]
     given = "" if isinstance(value, dict) else f" = {shown(value)}"
-    return f"{'.'.join(path) or 'scenario'}{given}: {short(error['msg'], _LONGEST)}"
+    return f"{'.'.join(path) or 'scenario'}{given}: {short(own_words(error['msg']), _LONGEST)}"
