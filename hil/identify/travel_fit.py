@@ -21,6 +21,7 @@ SYSTEMATIC = {
     "cogging_amplitude": 0.01, "cogging_period": 0.006,
 }  # fmt: skip
 UNSEEN = 3.0  # times these, where friction may vary along the travel and no sinusoid was told
+LONG_WAVE = 3.0  # times these for a period as long as the travel, of which cables and the ends take their part
 PHASE = 0.015  # rad, the same of a sinusoid's phase
 SHAKEN = 3  # times that shaking is allowed for, each time by the waves that were found behind the last
 UNEXPLAINED = 0.2  # of Coulomb friction, RMS, at most
@@ -91,10 +92,8 @@ def travel_fit(
         **_drift(fit.level, waves, x),
     }
     half = jackknife(_unwrapped(without, values)).tolist()
-    unseen = 1.0 if waves else UNSEEN
-    systematic = {name: unseen * share * values[name] for name, share in SYSTEMATIC.items() if name in values}
-    systematic |= {name: PHASE for name in values if name.endswith("_phase")}
-    systematic["constant"] = SYSTEMATIC["coulomb"] * values["coulomb"]  # the sinusoids' ends go into either
+    travel = float(np.ptp(points.position))
+    systematic = _systematic(values, travel)
     if residual < rounding:
         spread = {"viscous": max(speeds) - min(speeds), "coulomb": 1.0, "constant": 1.0}
         systematic |= {name: math.hypot(systematic[name], rounding / size) for name, size in spread.items() if size}
@@ -106,7 +105,6 @@ def travel_fit(
     if not found["quadratic"].value:
         del found["quadratic"]
     _allow_for(fit.over, found, refused)
-    travel = float(np.ptp(points.position))
     for kind, name, period_of in WAVES:
         length = next((length for odd, length in waves if odd is kind), None)
         if length is None:
@@ -122,6 +120,18 @@ def travel_fit(
     whole = fit.level._replace(force=fit.level.force + hidden)
     curves = _curves(whole, centre, fit.rest, pass_speeds, float(x[0]), fit.viscous, bent)
     return TravelFit(found, refused, residual, curves)
+
+
+def _systematic(values: Mapping[str, float], travel: float) -> dict[str, float]:
+    """Half widths of what no pass shows."""
+    unseen = 1.0 if "friction_period" in values or "cogging_period" in values else UNSEEN
+    off = {name: unseen * share * values[name] for name, share in SYSTEMATIC.items() if name in values}
+    off |= {name: PHASE for name in values if name.endswith("_phase")}
+    for name in off:
+        if name.endswith("_period"):
+            off[name] *= max(1.0, LONG_WAVE * values[name] / travel)
+    off["constant"] = SYSTEMATIC["coulomb"] * values["coulomb"]  # the sinusoids' ends go into either
+    return off
 
 
 def _allow_for(over: Curved | Line, found: dict[str, Estimate], refused: dict[str, str]) -> None:
