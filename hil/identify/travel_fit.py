@@ -12,7 +12,7 @@ import numpy as np
 from hil.identify.curved_friction import Curved, Line, curved
 from hil.identify.estimate import WIDEST, Array, Estimate, Refused, damping, jackknife
 from hil.identify.places import PLACES, Points, SpeedPass, points_of, seen, shown
-from hil.identify.waves import BASE, design, refined, searched, solve, waves_force, waves_seen
+from hil.identify.waves import BASE, design, refined, searched, solve, waves_force, waves_seen, within
 
 LEAST_PASSES = 4
 # Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
@@ -216,9 +216,10 @@ def _over_speed_and_travel(
     passes: Sequence[SpeedPass], period: float, raw: Points, centre: float, *, sloped: bool
 ) -> _Fit:
     """Waves shake a loose axis, which is slow where friction is great. Of their force such passes show another share
-    than passes at constant speed: it is told by the waves found, and taken out. sloped: friction over speed is told.
+    than passes at constant speed: it is told by the waves found, and taken out. Waves longer than the travel shake
+    nothing, and nobody knows how large they are. sloped: friction over speed is told.
     """
-    points = flat = raw
+    points, flat, travel = raw, raw, float(np.ptp(raw.position))
     waves: list[tuple[bool, float]] = []
     for number in range(1 + SHAKEN):
         over = curved(flat, [p.speed for p in passes]) if sloped else Line()
@@ -227,10 +228,11 @@ def _over_speed_and_travel(
         level = _without_speed(points, viscous, bent)
         waves = refined(level, waves) if number else searched(level)
         x, rest = solve(level, waves)
-        if not waves:
+        shaking, sizes = within(waves, x, travel)
+        if not shaking:
             break
-        flat = raw._replace(force=raw.force - shown(passes, period, waves_force(waves, x, centre)))
-        points = raw._replace(force=flat.force + waves_seen(raw, waves, x))
+        flat = raw._replace(force=raw.force - shown(passes, period, waves_force(shaking, sizes, centre)))
+        points = raw._replace(force=flat.force + waves_seen(raw, shaking, sizes))
     return _Fit(viscous, over, waves, x, rest, points, level, flat)
 
 

@@ -34,6 +34,13 @@ def design(points: Points, waves: Sequence[tuple[bool, float]], *, blurred: bool
     return np.array(rows)
 
 
+def within(waves: Sequence[tuple[bool, float]], x: Array, travel: float) -> tuple[list[tuple[bool, float]], Array]:
+    """The waves that are no longer than the travel, m, and the weights of them and of BASE."""
+    short = np.array([length <= travel for _, length in waves], bool)
+    kept = [wave for wave, is_short in zip(waves, short.tolist(), strict=True) if is_short]
+    return kept, np.concatenate([x[: len(BASE)], x[len(BASE) :][np.repeat(short, 2)]])
+
+
 def waves_seen(points: Points, waves: Sequence[tuple[bool, float]], x: Array) -> Array:
     """Their force as filter and places show it at constant speed, N (k,)."""
     told: Array = x[len(BASE) :] @ design(points, waves)[len(BASE) :]
