@@ -12,7 +12,7 @@ import numpy as np
 from hil.identify.curved_friction import Curved, Line, curved
 from hil.identify.estimate import WIDEST, Array, Estimate, Refused, damping, jackknife
 from hil.identify.places import PLACES, Points, SpeedPass, points_of, seen, shown
-from hil.identify.waves import BASE, design, refined, searched, solve, waves_force, waves_seen, within
+from hil.identify.waves import BASE, design, refined, searched, solve, waves_force, waves_seen, within_travel
 
 LEAST_PASSES = 4
 # Shares of the value: what the sinusoids and the cables' loop leave out, which no pass shows.
@@ -228,7 +228,7 @@ def _over_speed_and_travel(
         level = _without_speed(points, viscous, bent)
         waves = refined(level, waves) if number else searched(level)
         x, rest = solve(level, waves)
-        shaking, sizes = within(waves, x, travel)
+        shaking, sizes = within_travel(waves, x, travel)
         if not shaking:
             break
         flat = raw._replace(force=raw.force - shown(passes, period, waves_force(shaking, sizes, centre)))

@@ -34,7 +34,9 @@ def design(points: Points, waves: Sequence[tuple[bool, float]], *, blurred: bool
     return np.array(rows)
 
 
-def within(waves: Sequence[tuple[bool, float]], x: Array, travel: float) -> tuple[list[tuple[bool, float]], Array]:
+def within_travel(
+    waves: Sequence[tuple[bool, float]], x: Array, travel: float
+) -> tuple[list[tuple[bool, float]], Array]:
     """The waves that are no longer than the travel, m, and the weights of them and of BASE."""
     short = np.array([length <= travel for _, length in waves], bool)
     kept = [wave for wave, is_short in zip(waves, short.tolist(), strict=True) if is_short]

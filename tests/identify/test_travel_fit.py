@@ -8,7 +8,7 @@ import pytest
 from hil.identify.estimate import Estimate, Refused
 from hil.identify.places import SpeedPass, points_of, seen
 from hil.identify.travel_fit import travel_fit
-from hil.identify.waves import within
+from hil.identify.waves import within_travel
 
 PERIOD = 1e-3
 COULOMB, CONSTANT, VISCOUS, STIFFNESS = 0.5, -2.4, 3.0, 0.1
@@ -83,10 +83,10 @@ def test_friction_that_shakes_a_loose_axis_is_told_as_that_of_a_stiff_one() -> N
 def test_waves_longer_than_the_travel_are_no_shaking() -> None:
     """Nobody knows how large they are: taken out as if they were known, they grew to kilonewtons."""
     waves, x = [(True, 0.02), (False, 0.05), (False, 0.01)], np.arange(9.0)
-    kept, weights = within(waves, x, 0.03)
+    kept, weights = within_travel(waves, x, 0.03)
     assert kept == [(True, 0.02), (False, 0.01)]
     assert weights.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 7.0, 8.0]
-    assert within(waves[1:2], x[:5], 0.03)[0] == []
+    assert within_travel(waves[1:2], x[:5], 0.03)[0] == []
 
 
 def test_friction_that_varies_makes_no_cogging_of_its_period() -> None:
