@@ -72,15 +72,14 @@ def second_resonances(trial: CornerTrial) -> list[SecondResonance]:
 def _worst(name: str, at_rest: bool, load: float, axis: AxisDynamics, answer: Array, period: float) -> SecondResonance:
     spectrum = np.fft.rfft(answer)[1:-1]
     known = np.arange(1, len(spectrum) + 1) / (len(answer) * period)
-    loop = 1.0 / spectrum - 1.0
-    law = loop / _response(axis, known, period)
     swept = np.geomspace(LOWEST_HZ, HIGHEST / period, SWEPT)
     for finer in (False, True):
         near = swept[:, None] * (1.0 + DAMPING * np.sinh(_AROUND))
         along = np.broadcast_to(np.geomspace(known[0], known[-1], _POINTS), (len(swept), _POINTS))
         here = np.clip(np.sort(np.concatenate((along, near), axis=1), axis=1), known[0], known[-1])
-        without = 1.0 + np.interp(here, known, loop)
-        with_it = np.interp(here, known, law) * _response(axis, here, period, load, swept[:, None])
+        without = 1.0 / np.interp(here, known, spectrum)
+        changed = _response(axis, here, period, load, swept[:, None]) / _response(axis, here, period)
+        with_it = (without - 1.0) * changed
         turned = np.unwrap(np.angle((1.0 + with_it) / without), axis=1)
         rings = np.abs(turned[:, -1] - turned[:, 0]) > np.pi
         closest = np.abs(1.0 + with_it).min(axis=1)

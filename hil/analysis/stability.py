@@ -177,12 +177,26 @@ def margins(answer: Array) -> LoopMargins:
     return margins_of_loop(1.0 / spectrum[1:] - 1.0, np.arange(1, len(spectrum)) / len(answer))
 
 
+def _where_real(value: NDArray[np.complex128], crossing: NDArray[np.int64]) -> Array:
+    """What it is where it becomes real after the numbers `crossing`, on a straight line."""
+    here, there = value[crossing], value[crossing + 1]
+    share = here.imag / (here.imag - there.imag)
+    real: Array = here.real + share * (there.real - here.real)
+    return real
+
+
 def margins_of_loop(loop: NDArray[np.complex128], frequency: Array) -> LoopMargins:
-    """Of the loop gain L, (k,), at these rising frequencies, (k,), in whose unit the answer's are."""
+    """Of the loop gain L, (k,), at these rising frequencies, (k,), in whose unit the answer's are.
+
+    Between two of them a straight line is taken: of L near -1, else of S = 1 / (1 + L). That is 0 where a law learns a
+    wave of one frequency, and L turns round there within a fraction of a step.
+    """
+    sensitivity = 1.0 / (1.0 + loop)
     imag = loop.imag
-    crossing = np.flatnonzero((np.sign(imag[:-1]) != np.sign(imag[1:])) & (loop.real[:-1] < 0))
-    share = imag[crossing] / (imag[crossing] - imag[crossing + 1])
-    real = loop.real[crossing] + share * (loop.real[crossing + 1] - loop.real[crossing])
+    crossing = np.flatnonzero(np.sign(imag[:-1]) != np.sign(imag[1:]))
+    near = np.maximum(np.abs(sensitivity[crossing]), np.abs(sensitivity[crossing + 1])) > 1.0
+    with np.errstate(divide="ignore"):  # S may be 0
+        real = np.where(near, _where_real(loop, crossing), 1.0 / _where_real(sensitivity, crossing) - 1.0)
     factors = -1.0 / real
     size = np.log(np.abs(loop))
     unity = np.flatnonzero(size[:-1] * size[1:] <= 0)

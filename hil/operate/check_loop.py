@@ -70,7 +70,7 @@ def measured_notes(rig: RigConfig) -> list[str]:
     return [
         f"axis '{name}': corners from [axes.{name}.measured]"
         + (f" of {axis.measured.date}" if axis.measured.date else "")
-        + f": {axis.tolerances.text()}"
+        + f": {axis.tolerances.text(rigid=not (axis.model.mode_frequency_hz or axis.model.other_modes))}"
         for name, axis in rig.axes.items()
         if axis.measured is not None
     ]

@@ -83,12 +83,10 @@ class Tolerances(NamedTuple):
         """
         return min(min(1.0, max(0.0, 2.0 - mine / least)) for mine, least in zip(self[:3], KNOWN, strict=False))
 
-    def text(self) -> str:
-        """For people: 'mass 2 %, resonance 1 %, lag 5 %, viscous friction 10 %'."""
-        names = ("mass", "resonance", "lag", "viscous friction")
-        return ", ".join(
-            f"{name} {share:.2g} %" for name, share in zip(names, (100.0 * each for each in self), strict=True)
-        )
+    def text(self, *, rigid: bool) -> str:
+        """For people: 'mass 2 %, resonance 1 %, lag 5 %, viscous friction 10 %'. rigid: it has no resonance."""
+        names = ("mass", "" if rigid else "resonance", "lag", "viscous friction")
+        return ", ".join(f"{name} {100.0 * share:.2g} %" for name, share in zip(names, self, strict=True) if name)
 
 
 KNOWN = Tolerances(0.02, 0.02, 0.05, 0.1)  # what the quicker gains of presliding-kalman are made for
@@ -98,8 +96,8 @@ SAME = 1e-5  # relative: the model has the measured value
 
 def tolerances(model: Any, measured: MeasuredConfig | None) -> Tolerances:
     """Of an axis whose [model] and [measured] these are: the usual ones where nothing was measured. A resonance beside
-    the tool's that was not measured counts as well known as the tool's. Where a frequency response showed others and
-    none of a tool, the others count.
+    the tool's that was not measured counts as well known as the tool's. Where a frequency response, from which the lag
+    is, showed none of a tool, the others count, if there are any.
     """
     unknown = Tolerances()
     if measured is None:
@@ -113,11 +111,10 @@ def tolerances(model: Any, measured: MeasuredConfig | None) -> Tolerances:
     )
     frequencies = (measured.other_mode_1_frequency_hz, measured.other_mode_2_frequency_hz)
     pairs = list(zip(model.other_modes, frequencies, strict=False))
-    if not pairs:
-        return of_tool
     others = [_tolerance(mode[0], both, 0.0, 0.0) for mode, both in pairs]
-    shown = not model.mode_frequency_hz and all(both is not None for _, both in pairs)
-    return of_tool._replace(mode=max(LEAST.mode if shown else of_tool.mode, *others))
+    toolless = not model.mode_frequency_hz and measured.torque_lag is not None
+    shown = toolless and all(both is not None for _, both in pairs)
+    return of_tool._replace(mode=max([LEAST.mode if shown else of_tool.mode, *others]))
 
 
 def _tolerance(value: float, measured: list[float] | None, least: float, default: float) -> float:

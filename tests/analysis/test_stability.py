@@ -184,6 +184,15 @@ def test_margins_are_tightest_where_the_smaller_part_of_six_decibels_or_thirty_d
     assert LoopMargins(up, down, phase, gain_at=0.1, phase_at=0.2).tightest_at == at
 
 
+@pytest.mark.parametrize("turned", [0.5, 1.5, 3.0])
+def test_a_loop_gain_without_bound_between_two_frequencies_is_no_margin(turned: float) -> None:
+    """S is 0 at 16.3 Hz. A straight line between L on both sides passes by -1."""
+    frequency = np.arange(15.0, 18.0, 0.5)
+    beside = frequency - 16.3
+    sensitivity = 0.05 * beside * np.exp(1j * (turned + 0.1 * beside))
+    assert margins_of_loop(1.0 / sensitivity - 1.0, frequency).gain_db > 40.0
+
+
 def test_margins_are_those_of_loops_whose_margins_are_known() -> None:
     """2/3 / (s (s + 1)^2) turns at 1 rad/s, where it is 1/3; 2 (s + 1)^2 / s^3 likewise, where it is 4."""
     omega = np.linspace(0.02, 8.0, 100_000)

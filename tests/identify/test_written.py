@@ -115,6 +115,16 @@ def test_resonances_beside_the_tools_are_written_compared_and_bound_the_corners(
 
 
 @pytest.mark.long
+def test_an_axis_whose_response_showed_no_resonance_is_measured_without_one(tmp_path: Path) -> None:
+    made = tmp_path / "rigid.toml"
+    found = {**FOUND, "torque_lag": Estimate(2e-4, 1e-6, "s")}
+    made.write_text(rig_text(by_name("rigs", Path("microscope")), {"x": found}, "2026-01-01", "a"), encoding="utf-8")
+    rigid = load_rig(made, ["axes.x.model.mode_frequency_hz=0"])
+    assert rigid.axes["x"].tolerances.known == 1.0
+    assert measured_notes(rigid)[0].endswith("mass 2 %, lag 5 %, viscous friction 30 %")
+    assert load_rig(made, ["axes.x.model.mode_frequency_hz=150"]).axes["x"].tolerances.known == 0.0, "stated by hand"
+
+
 def test_the_loop_is_tried_within_what_was_measured(tmp_path: Path) -> None:
     source = by_name("rigs", Path("microscope"))
     made = tmp_path / "microscope.toml"
