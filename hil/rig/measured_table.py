@@ -96,8 +96,8 @@ SAME = 1e-5  # relative: the model has the measured value
 
 def tolerances(model: Any, measured: MeasuredConfig | None) -> Tolerances:
     """Of an axis whose [model] and [measured] these are: the usual ones where nothing was measured. A resonance beside
-    the tool's that was not measured counts as well known as the tool's. Where a frequency response, from which the lag
-    is, showed none of a tool, the others count, if there are any.
+    the tool's that was not measured counts as well known as the tool's. Where a frequency response, which also tells
+    the lag, showed none of a tool, the others count, if there are any.
     """
     unknown = Tolerances()
     if measured is None:
@@ -112,8 +112,8 @@ def tolerances(model: Any, measured: MeasuredConfig | None) -> Tolerances:
     frequencies = (measured.other_mode_1_frequency_hz, measured.other_mode_2_frequency_hz)
     pairs = list(zip(model.other_modes, frequencies, strict=False))
     others = [_tolerance(mode[0], both, 0.0, 0.0) for mode, both in pairs]
-    toolless = not model.mode_frequency_hz and measured.torque_lag is not None
-    shown = toolless and all(both is not None for _, both in pairs)
+    of_response = [both for _, both in pairs] or [measured.torque_lag]
+    shown = not model.mode_frequency_hz and all(one is not None for one in of_response)
     return of_tool._replace(mode=max([LEAST.mode if shown else of_tool.mode, *others]))
 
 

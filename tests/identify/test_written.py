@@ -114,7 +114,6 @@ def test_resonances_beside_the_tools_are_written_compared_and_bound_the_corners(
     assert len(load_rig(second).axes["x"].model.other_modes) == 2, "nobody has looked"
 
 
-@pytest.mark.long
 def test_an_axis_whose_response_showed_no_resonance_is_measured_without_one(tmp_path: Path) -> None:
     made = tmp_path / "rigid.toml"
     found = {**FOUND, "torque_lag": Estimate(2e-4, 1e-6, "s")}
@@ -125,6 +124,7 @@ def test_an_axis_whose_response_showed_no_resonance_is_measured_without_one(tmp_
     assert load_rig(made, ["axes.x.model.mode_frequency_hz=150"]).axes["x"].tolerances.known == 0.0, "stated by hand"
 
 
+@pytest.mark.long
 def test_the_loop_is_tried_within_what_was_measured(tmp_path: Path) -> None:
     source = by_name("rigs", Path("microscope"))
     made = tmp_path / "microscope.toml"
